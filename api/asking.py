@@ -317,13 +317,9 @@ class RegistryChange(Body):
 
 @dataclass(frozen=True, slots=True)
 class BodySource:
-    """Names the field of a request's body for a field of a registry file.
+    """Names the field of a request's body for a field of a registry file."""
 
-    Attributes:
-        names: By field of the file; by array and index before it (``mountings[1].from``) where several records are
-            entered.
-    """
-
+    # by field of the file; by array and index before it (``mountings[1].from``) where several records are entered
     names: Mapping[str, str] = field(default_factory=dict)
 
     def error(self, reason: str, location: Location = ()) -> InputError:

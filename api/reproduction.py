@@ -27,7 +27,8 @@ from estimation.values.fields import JsonValue
 from estimation.values.geometry import COMBINATIONS, BinStatus, WheelsetGeometry
 from estimation.values.windows import Motion
 from estimation.vehicle.vehicle_class import VehicleParameters
-from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
+from ingest.simulator.motion import STEP, WheelsetMotion
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.track import TrackRecipe, make_track
 
 SPEED = 20.0  # m/s, Table A.1
@@ -69,7 +70,7 @@ def run(gauge_std: float, seconds: float, seed: int) -> Case:
     recipe = TrackRecipe(length=length, alignment_std=STANDARD_DEVIATION, gauge_std=gauge_std)
     track = make_track(recipe, np.random.SeedSequence(seed))
     speed = np.full(round(seconds / STEP), SPEED)
-    motion = simulate_wheelset(VehicleParameters(), table, track, speed, 20.0)
+    motion = simulate_gear(RunningGear(), [table], track, speed, 20.0)[0]
     seen = ideal_motion(motion)
     parameters = bin_table.BinParameters()
     certain = GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))

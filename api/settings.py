@@ -14,6 +14,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from estimation.errors import ParameterError
 from estimation.rails.parameters import RailsParameters
+from estimation.values.units import SECOND_NS
 from fleet_db.keeping.retention import Kept, Retention
 from ingest.input_file import InputTable, read_toml
 
@@ -33,9 +34,6 @@ def names_endpoint(url: str) -> bool:
     parts = urlsplit(url)
     plain = "@" not in parts.netloc and not parts.path.strip("/") and not parts.query and not parts.fragment
     return parts.scheme in {"http", "https"} and bool(parts.hostname) and plain
-
-
-SECOND_NS = 1_000_000_000
 
 
 def known_sections(text: str) -> list[tuple[str, int]]:
@@ -301,8 +299,6 @@ def load_settings(**overrides: object) -> Settings:
 
 FOR_EVER = "for ever"
 Days = Annotated[float, Field(gt=0.0, le=36_500.0)] | Literal["for ever"] | None
-
-
 _DAYS: dict[str, Any] = {kind.value: (Days, None) for kind in Kept}
 DaysTable = create_model("DaysTable", __base__=InputTable, **_DAYS)
 

@@ -10,16 +10,16 @@ import numpy as np
 from pydantic import BeforeValidator, WithJsonSchema
 
 from estimation.values.arrays import IntArray
+from estimation.values.units import SECOND_NS
 
 _SHAPE = re.compile(r"(\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?([Zz]|[+-]\d\d:\d\d)", re.ASCII)
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_NS = 1_000_000_000
 _INT64 = 2**63
 
 
 def to_rfc3339(t_ns: int) -> str:
     """Return nanoseconds since the epoch as RFC 3339 in UTC, with as many decimals as the time has."""
-    seconds, rest = divmod(t_ns, _NS)
+    seconds, rest = divmod(t_ns, SECOND_NS)
     text = (_EPOCH + timedelta(seconds=seconds)).strftime("%Y-%m-%dT%H:%M:%S")
     decimals = f".{rest:09d}".rstrip("0") if rest else ""
     return f"{text}{decimals}Z"
@@ -42,7 +42,7 @@ def from_rfc3339(text: object) -> int:
         since = moment - _EPOCH
     except (ValueError, OverflowError):
         raise ValueError("must be a time that exists") from None
-    t_ns = (since.days * 86400 + since.seconds) * _NS + int((decimals or "").ljust(9, "0"))
+    t_ns = (since.days * 86400 + since.seconds) * SECOND_NS + int((decimals or "").ljust(9, "0"))
     if not -_INT64 <= t_ns < _INT64:
         raise ValueError("must be between the years 1678 and 2261")
     return t_ns

@@ -177,7 +177,7 @@ def score(fleet: Fleet, row: str, folder: Path, *, left_out_too: bool = True) ->
     geometries = _geometries(fleet.windows, motions, parameters)
     done.conicity_all = _conicity_errors(scenario, fleet, geometries)
     passes = list(_passes(fleet, motions, parameters, geometries, done))
-    if scenario.running.creep.law is CreepLaw.LINEAR:
+    if scenario.creep.law is CreepLaw.LINEAR:
         return done
     s = np.arange(fleet.track.s[0], fleet.track.s[-1], STEP)
     stored = StoredPasses(scenario.section.code, tuple(passes), s, fleet.friction(0, s), _length(fleet))

@@ -78,9 +78,8 @@ class Fleet:
 
 def true_friction(scenario: Scenario, track: TrackTruth, campaign: int, distance: FloatArray) -> FloatArray:
     """Return the true coefficient of friction (n,) at distances (n,), m, in a campaign (from 0)."""
-    running = scenario.running
-    factor = min(friction_factor(running, scenario.seed, campaign) * running.creep.friction, 1.0)
-    track = with_stretches(track, running, campaign, factor)
+    factor = min(friction_factor(scenario, campaign) * scenario.creep.friction, 1.0)
+    track = with_stretches(track, scenario.creep, campaign, factor)
     if track.surface is None:
         return np.full(len(distance), factor)
     return np.asarray(factor * np.interp(distance, track.s, track.surface.friction))

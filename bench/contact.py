@@ -280,7 +280,9 @@ def _reference(wheel: str) -> WheelsetOnTrack:
 def _printed(wheel: str) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return amplitudes (mm), tan(gamma_e) and contact jumps (mm) as the command prints them."""
     shapes = measured_shapes((f"EN15302-{wheel}",) * 2, "EN15302-A", FileOptions())
-    document = json.loads(table_text(Contact(_reference(wheel), shapes, ContactMethod.EN15302, "0"), as_json=True))
+    document = json.loads(
+        table_text(Contact(_reference(wheel), shapes, ContactMethod.EN15302, "0", 120.0), as_json=True)
+    )
     conicity = document["equivalent_conicity"]
     values = (conicity["amplitude_mm"], conicity["value"], document["contact_jumps_mm"])
     amplitude, value, jumps = (np.array(column, dtype=np.float64) for column in values)

@@ -32,7 +32,7 @@ from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters
-from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
+from ingest.simulator.motion import STEP, WheelsetMotion
 from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.track import TrackRecipe, make_track
 from ingest.vehicle_class_schema import shipped_class
@@ -201,7 +201,7 @@ def _run(wheelset: WheelsetOnTrack, vehicle: VehicleParameters) -> WheelsetMotio
         TrackRecipe(length=SPEED * SECONDS + 100.0, alignment_std=ALIGNMENT_STD), np.random.SeedSequence(SEED)
     )
     table = contact_table(wheelset, GRID, outside="hold")
-    return simulate_wheelset(vehicle, table, track, np.full(round(SECONDS / STEP), SPEED), 20.0)
+    return simulate_gear(RunningGear(vehicle), [table], track, np.full(round(SECONDS / STEP), SPEED), 20.0)[0]
 
 
 def _estimated(ran: WheelsetMotion, vehicle: VehicleParameters, form: str) -> FloatArray:

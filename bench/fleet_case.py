@@ -29,8 +29,9 @@ from estimation.motion.window_motion import deconvolved
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
-from estimation.values.quantities import NORMAL_95, Estimate, Status
+from estimation.values.quantities import Estimate, Status
 from estimation.values.track import AlignmentSource, TrackAlignment
+from estimation.values.units import NORMAL_95
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.track import TrackTruth

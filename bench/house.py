@@ -13,6 +13,8 @@ arrows against the layers
 long functions, complex functions
     Functions of the four packages of more than 50 lines without their docstring; functions anywhere in the repository
     of cyclomatic complexity over 10 by ruff, suppressed or not. Migrations are history and not counted.
+loose numeric constants
+    As ``bench/loose_constants.py`` defines them.
 long files
     Python files of more than 400 lines, tests and benches included, migrations not.
 files entered by one frame
@@ -56,6 +58,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from bench.digests import command, environment_of, simulate
+from bench.loose_constants import loose_constants
 
 PACKAGES = ("api", "fleet_db", "ingest", "estimation")
 SCREEN = 50
@@ -151,6 +154,8 @@ def static_counts(root: Path) -> Iterator[Count]:
     yield Count(f"functions over {SCREEN} lines", "0", str(len(long)), "0", long)
     found = tuple(complex_functions(root))
     yield Count(f"functions of complexity over {COMPLEXITY}", "0", str(len(found)), "0", found)
+    loose_numbers = tuple(map(str, loose_constants(root)))
+    yield Count("loose numeric constants of estimation", "902", str(len(loose_numbers)), "<= 100", loose_numbers)
     files = tuple(long_files(root))
     yield Count(f"files over {LONG_FILE} lines", "2", str(len(files)), "0", files)
     words = loose_words(root)

@@ -28,6 +28,7 @@ from estimation.jobs.steps.signature_windows import ASSUMED
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
 from estimation.values.runs import JobTrigger, Mark
 from estimation.values.track import AlignmentSource, FoldState, TrackEpoch
+from estimation.values.units import DAY_NS
 from fleet_db.due import DUE
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
@@ -49,7 +50,6 @@ from fleet_db.tables.windows import (
 )
 
 KEPT_BYTES = 500
-DAY_NS = 86_400_000_000_000
 CREEP, DAMPERS = table_of(WindowAdhesionRow), table_of(WindowDamperRow)
 SIGNATURES, CELLS = table_of(WearSignatureRow), table_of(RailCellRow)
 FRICTION = table_of(SectionAdhesionRow)

@@ -25,10 +25,10 @@ from estimation.values.geometry import (
 from estimation.values.quantities import Estimate, with_interval
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord, WearTrend
+from estimation.values.units import DAY_NS
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.results import RESULTS
 
-DAY_NS = 86_400 * 10**9
 AXLES = 4
 VARIANTS = 40
 """Different courses of wear; the wheelsets share them, at mileages of their own."""

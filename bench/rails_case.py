@@ -28,7 +28,6 @@ from api.settings import Settings
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.profiles import wheel_profile
-from estimation.contact.wear import RailWear
 from estimation.jobs import refresh_rails
 from estimation.jobs.job import JobContext
 from estimation.jobs.settings import KnownSection, RailsSettings
@@ -36,10 +35,12 @@ from estimation.storage import Storage, UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import SECTION_RAILS, WHEELSET_RAILS
 from estimation.values.quantities import Estimate
+from estimation.values.units import DAY_NS
 from ingest.simulator.axle_motion import rails_of, section_at, truth_of, wear_at, worn_contact
 from ingest.simulator.drawn_fleet import with_seed
-from ingest.simulator.scenario import DAY_NS, DrawnFleet, Scenario, SectionPlan, VehicleErrors, VehiclePlan
+from ingest.simulator.scenario import DrawnFleet, Scenario, SectionPlan, VehicleErrors, VehiclePlan
 from ingest.simulator.scenario_file import load_scenario
+from ingest.simulator.section import WornRails
 
 TEMPLATE = Path(__file__).parent / "rails_scenarios" / "sections.toml"
 KNOWN = "S0"
@@ -68,16 +69,17 @@ def sections_of(seed: int, *, drawn: bool = False) -> tuple[BenchSection, ...]:
         codes = tuple(vehicle.code for vehicle in fleet.vehicles)
         fleet = replace(fleet, vehicle_errors=VehicleErrors(seed=seed, fleet=codes))
     rng = np.random.default_rng([seed, 14])
-    wear = RailWear(rng.uniform(0.3e-3, 0.7e-3), rng.uniform(-1e-3, 3e-3), rng.uniform(22e-3, 28e-3))
+    depth, centre, half_width = rng.uniform(0.3e-3, 0.7e-3), rng.uniform(-1e-3, 3e-3), rng.uniform(22e-3, 28e-3)
+    wear = WornRails(depth, centre=centre, half_width=half_width)
     gauge = float(rng.choice([-1.0, 1.0]) * rng.uniform(1e-3, 2e-3))
-    rails: tuple[tuple[RailWear | None, float], ...] = ((None, 0.0), (wear, 0.0), (None, gauge), (None, 0.0))
+    rails: tuple[tuple[WornRails | None, float], ...] = ((None, 0.0), (wear, 0.0), (None, gauge), (None, 0.0))
     return tuple(
         BenchSection(on_section(fleet, place, runs, *of_rails), of_rails != (None, 0.0))
         for place, (runs, of_rails) in enumerate(zip(RUNS, rails, strict=True))
     )
 
 
-def on_section(fleet: Scenario, place: int, runs: Sequence[str], wear: RailWear | None, gauge: float) -> Scenario:
+def on_section(fleet: Scenario, place: int, runs: Sequence[str], wear: WornRails | None, gauge: float) -> Scenario:
     """Return a fleet as it runs on one of several sections."""
     recipe = fleet.section.recipe
     assert recipe is not None
@@ -87,7 +89,7 @@ def on_section(fleet: Scenario, place: int, runs: Sequence[str], wear: RailWear 
         number=fleet.section.number + place,
         name=f"Section {place}",
         recipe=replace(recipe, gauge_offset=gauge),
-        rail_wear=(wear, wear),
+        rail_wear=wear,
         surveyed=True,
     )
     later = KM_BETWEEN_SECTIONS * place * 1e3
@@ -280,10 +282,10 @@ def worn_for_years(seed: int) -> tuple[BenchSection, BenchSection]:
         distance_per_day=KM_BETWEEN * 1e3 / DAYS_BETWEEN,
     )
     fleet = replace(fleet, sessions=sessions, vehicles=tuple(_wearing(one, rng) for one in fleet.vehicles))
-    wear = RailWear(FIRST_DEPTH, rng.uniform(*CENTRE), rng.uniform(22e-3, 28e-3))
+    wear = WornRails(FIRST_DEPTH, centre=rng.uniform(*CENTRE), half_width=rng.uniform(22e-3, 28e-3))
     known = on_section(fleet, 0, VEHICLES, None, 0.0)
     worn = on_section(fleet, 1, VEHICLES, wear, 0.0)
-    growing = replace(worn.section, rail_growth=rng.uniform(*RAILS_WEAR), tonnage=TONNAGE)
+    growing = replace(worn.section, rail_wear=replace(wear, growth=rng.uniform(*RAILS_WEAR)), tonnage=TONNAGE)
     return BenchSection(known, worn=False), BenchSection(replace(worn, section=growing), worn=True)
 
 

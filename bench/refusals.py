@@ -19,7 +19,7 @@ from bench.refusals_case import IN_BOGIES, OnFile, drawn_case, judged, simulated
 from bench.report import Part, ResultTable
 from bench.study import Case, Key, Study
 from estimation.errors import TreadwatchError
-from estimation.geometry.model_fit import DOUBTED, MISTAKE
+from estimation.geometry.model_fit import ROLLING
 from estimation.values.reasons import ReasonCode
 
 RIGHT = "right"
@@ -186,7 +186,7 @@ def _radius(name: str, of_row: Sequence[Case]) -> tuple[str, ...]:
         f"{np.median(error):+.1f} / {np.percentile(np.abs(error), 68):.1f}",
         f"{np.median(std):.1f}",
         f"{np.median(bound):.1f}",
-        str(int(np.sum(np.abs(error) + DOUBTED * std > 100.0 * MISTAKE))),
+        str(int(np.sum(np.abs(error) + ROLLING.doubted_stds * std > 100.0 * ROLLING.radius_mistake))),
     )
 
 

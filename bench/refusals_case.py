@@ -20,7 +20,8 @@ from bench.scores import Compared, compared_at
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.model_fit import check_radius, rolling_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.jobs.steps.estimated_geometry import CONTRADICTIONS, MOST_SHARE
+from estimation.jobs.parameters import JOBS
+from estimation.jobs.steps.estimated_geometry import CONTRADICTIONS
 from estimation.motion.axle_distance import (
     bogie_runs_backwards,
     check_axle_distance,
@@ -302,7 +303,7 @@ def _judged(
     refused = Counter(one.code for one in tables if isinstance(one, Reason))
     against = sum(count for code, count in refused.items() if code in CONTRADICTIONS)
     good = [one for one in tables if not isinstance(one, Reason)]
-    if not good or against > MOST_SHARE * (against + len(good)):
+    if not good or against > JOBS.most_refused_share * (against + len(good)):
         return Judged(published=False, code=str(refused.most_common(1)[0][0]), errors=(), covered=())
     bins = bin_parameters(parameters)
     uncertainty = ParameterUncertainty.of(vehicle_class).on([case.track])

@@ -31,8 +31,9 @@ from estimation.jobs.steps.rolling import members
 from estimation.motion.integration import standard_displacement
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
-from estimation.values.quantities import NORMAL_95, Status
+from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
+from estimation.values.units import NORMAL_95
 from estimation.values.windows import Motion
 from ingest.simulator.axle_motion import contact_of
 from ingest.simulator.campaign import scenario_track
@@ -200,8 +201,8 @@ def fleet(family: str, seed: int, vehicles: int, wheels: Path) -> Scenario:
     if family == SMOOTH:
         pair = _smooth_pair(pair, 4 * vehicles, wheels)
     plan = replace(drawn, given_vehicles=vehicles, pairs=(pair,))
-    running = replace(scenario.running, contact_step=STEP)
-    return with_seed(replace(scenario, name=f"rivals {family}", drawn=plan, running=running), seed)
+    finer = replace(scenario.wheels, contact_step=STEP)
+    return with_seed(replace(scenario, name=f"rivals {family}", drawn=plan, wheels=finer), seed)
 
 
 def _smooth_pair(pair: ProfilePair, wheelsets: int, folder: Path) -> ProfilePair:

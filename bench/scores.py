@@ -10,7 +10,8 @@ import numpy as np
 
 from bench.report import ResultTable
 from estimation.values.arrays import FloatArray
-from estimation.values.quantities import NORMAL_95, Estimate
+from estimation.values.quantities import Estimate
+from estimation.values.units import NORMAL_95
 
 MISS = 40.0  # weight of a miss in the interval score of 95 % intervals
 COLUMNS = ("numbers", "error", "z rms", "half width", "interval score", "cover")

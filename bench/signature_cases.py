@@ -18,9 +18,11 @@ from estimation.signatures.window_signatures import SignatureParameters, window_
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason
 from estimation.values.signatures import ConicitySource, LibraryEntry, Place, Signature
+from estimation.values.units import DAY_NS
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import Arrangement, VehicleClass, VehicleParameters
-from ingest.simulator.motion import STEP, PreparedTable, simulate_wheelset
+from ingest.simulator.motion import STEP
+from ingest.simulator.running_gear import PreparedTable, RunningGear, simulate_gear
 from ingest.simulator.sensors import Channel, SensorNode, draw_offsets, measure
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
 
@@ -42,7 +44,6 @@ SPREAD = {  # of the vehicles about their class, relative standard deviations
     "yaw_inertia": 0.015,
     "suspended_mass": 0.015,
 }
-DAY_NS = 86_400_000_000_000
 POSITION_STD = 10.0  # m, of a run
 SPEEDS_TRIED = 10  # until a wheelset stays within its contact table
 
@@ -145,7 +146,7 @@ def window_of(
     """Return one window of a run over a whole section, as its node measures it, at positions some metres off."""
     t = np.arange(round((LENGTH - 2 * BEGIN) / (1.05 * speed) / STEP)) * STEP
     course = speed * (1 + 0.04 * np.sin(2 * np.pi * t / rng.uniform(60, 200) + rng.uniform(0, 6)))
-    motion = simulate_wheelset(runs.vehicle, runs.table, track, np.asarray(course), BEGIN)
+    motion = simulate_gear(RunningGear(runs.vehicle), [runs.table], track, np.asarray(course), BEGIN)[0]
     if motion.outside:
         raise LeftTableError(f"{runs.serial} left its contact table {motion.outside} times")
     values = measure(motion, NODE, rng, draw_offsets(NODE, rng)).values

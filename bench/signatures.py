@@ -22,7 +22,7 @@ from bench.signature_fleets import KINDS_FOREIGN, Plan, simulated, trained
 from bench.signature_pipeline import EACH, KINDS, WHEELSETS, cost, judged_by_the_product
 from bench.study import Case, Key, Study, seeds_of
 from estimation.signatures.answer import judged, most_likely
-from estimation.signatures.library import LARGEST, Library, current, library
+from estimation.signatures.library import Library, current, library
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.values.reasons import Reason
 from estimation.values.signatures import ConicitySource, Signature
@@ -176,7 +176,8 @@ def _retired_row(cases: Sequence[Case], name: str) -> BenchRow:
     least, most = min(case["retired"]["least"] for case in cases), max(case["retired"]["most"] for case in cases)
     text = (
         f"{total['found']} of {total['worked_on']} tamped stretches found, distances from {least:.1f};"
-        f" {total['false']} of {total['others']} others retired, distances to {most:.1f}; limit {LARGEST}"
+        f" {total['false']} of {total['others']} others retired, distances to {most:.1f}; limit"
+        f" {SignatureParameters().largest_distance}"
     )
     met = total["found"] >= 0.95 * total["worked_on"] and total["false"] <= 0.01 * total["others"]
     what = f"library entries of stretches tamped since, {name}"
@@ -307,7 +308,7 @@ def _rival(made: SimulatedFleet, *, linear: bool) -> dict[str, list[tuple[float,
 def _retired(passes: Simulated, seed: int) -> dict[str, float]:
     """Return how many stretches of a section that was worked on are found, and of others; half of it was tamped."""
     tamped = passes.tamped
-    found = current(entries(passes.retracked, np.random.default_rng([seed, 9]), MEASURED_STD))
+    found = current(entries(passes.retracked, np.random.default_rng([seed, 9]), MEASURED_STD), SignatureParameters())
     places = {item.place for one in passes.retracked for item in one.signatures}
     changed = {change.place for change in found.changes}
     return {

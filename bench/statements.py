@@ -24,6 +24,7 @@ from bench.report import BenchRow, RowBench
 from bench.small_fleets import code_of, copies, put_copies
 from bench.standing_clock import StandingClock
 from estimation.jobs.catalogue import ALL_JOBS
+from estimation.values.units import DAY_NS
 from fleet_db.migrate import upgrade
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
@@ -32,7 +33,7 @@ from ingest.registry_file import load_registry
 from ingest.simulator.fleet import FleetReport, run_fleet
 from ingest.simulator.scenario_file import load_scenario
 
-WINDOW_S, DAY_NS, BEGIN_NS = 120.0, 86_400_000_000_000, 1_704_700_000_000_000_000
+WINDOW_S, BEGIN_NS = 120.0, 1_704_700_000_000_000_000
 WHEELSETS_OF_VEHICLE, AXLE_OFFSETS = 4, (2.0, 4.5, 14.0, 16.5)
 OF_ONE = (INGEST, "estimate_windows", "refresh_geometry", "refresh_trends", "evaluate_alerts")
 REACH_OF_ONE, REACH_OF_JOB, NOT_EVERY_DAY = 8.0, 150, 20

@@ -79,7 +79,7 @@ def found_in(given: Life, history: int) -> Found:
     first = given.first or 0
     for after in range(1, BEHIND + 1):
         known = given.records[: first + after]
-        step = newest_step(known)
+        step = newest_step(known, TrendParameters())
         if step is None or step.after_km < given.records[history - 1].mileage_km:
             continue
         half = 0.5 * (given.records[1].mileage_km - given.records[0].mileage_km)
@@ -197,7 +197,7 @@ def false_steps(given: Life) -> tuple[int, float]:
     records, places = given.records, list[float]()
     width = records[1].mileage_km - records[0].mileage_km
     for until in range(2, len(records) + 1):
-        step = newest_step(records[:until])
+        step = newest_step(records[:until], TrendParameters())
         if step is not None and all(abs(step.after_km - km) > SAME_KM * width for km in places):
             places.append(step.after_km)
     return len(places), (records[-1].to_ns - records[0].from_ns) / DAY_NS / 365.25

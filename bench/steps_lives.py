@@ -14,10 +14,10 @@ import numpy as np
 from estimation.trend.change_point import StepModel
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import IntervalConicities, KnownConicity
+from estimation.values.units import DAY_NS
 
 HISTORIES = (3, 6, 12, 30, 60, 120, 240)  # intervals before a step
 LEAST = 0.04  # conicity: an outlier is never below it
-DAY_NS = 86_400 * 10**9
 BEGIN_NS = 1_700_000_000 * 10**9
 AMPLITUDES = (0.002, 0.0025, 0.003)
 LIMIT = 0.4

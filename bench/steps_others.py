@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.made_values import made_geometry
 from bench.report import BenchRow
-from bench.steps_lives import BEGIN_NS, DAY_NS
+from bench.steps_lives import BEGIN_NS
 from estimation.alerts.identity import Mistake, Observation, identity_events, reversed_between
 from estimation.alerts.rules.running_gear import SuspensionChangeRule, suspension_change_finding
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
@@ -25,6 +25,7 @@ from estimation.trend.suspension import suspension_histories
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinStatus, BinValues
 from estimation.values.trend import SuspensionFinding
+from estimation.values.units import DAY_NS, HOUR_NS, YEAR_NS
 
 EDGES: FloatArray = 0.25e-3 * np.arange(-14, 15, dtype=np.float64)
 AT = 0.5 * (EDGES[1:] + EDGES[:-1])
@@ -99,7 +100,7 @@ def _life(
     plain = curve(*pair, difference)
     scale = 1.0 + COMMON * rng.standard_normal() / 0.3
     track = TRACK * rng.standard_normal() * np.cos(AT / 1e-3) + TRACK * rng.standard_normal() * np.sin(AT / 1e-3)
-    width = round(km / 1.2e5 * 365.25 * DAY_NS)
+    width = round(km / 1.2e5 * YEAR_NS)
     seen = []
     for i in range(BEFORE + BEHIND):
         shape = -plain[::-1] if turned and i >= BEFORE else plain
@@ -172,9 +173,9 @@ def fleet(history: int, seed: int) -> list[SuspensionFinding]:
         for i in range(k):
             left = SHARE_LEFT if v == 0 and i >= history else 1.0
             noise = np.hypot(OWN_STD, RATIO_STD) * rng.standard_normal()
-            begin = BEGIN_NS + round(i * DAYS_APART * DAY_NS) + v * 3600 * 10**9
+            begin = BEGIN_NS + round(i * DAYS_APART * DAY_NS) + v * HOUR_NS
             ratio = left * float(np.exp(weather[i] + noise))
             found.append(
-                SuspensionFinding(f"V{v}", "S", begin, begin + 3600 * 10**9, ratio, RATIO_STD * ratio, 0.34, "v", 1)
+                SuspensionFinding(f"V{v}", "S", begin, begin + HOUR_NS, ratio, RATIO_STD * ratio, 0.34, "v", 1)
             )
     return found

@@ -12,7 +12,7 @@ from bench.scores import compared_at
 from bench.survey_fleets import AMPLITUDES, Fleet, drawn_track
 from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
-from estimation.geometry.uncertainty import USUAL_CUTOFF, ParameterUncertainty, alignment_std
+from estimation.geometry.uncertainty import ParameterUncertainty, alignment_std
 from estimation.motion.window_motion import alignment_at
 from estimation.tables.bin_table import bin_parameters, cells_of_window, merge_all
 from estimation.track.passes import PassStatus, PositionParameters, journeys
@@ -119,7 +119,7 @@ def _honest(update: AlignmentUpdate, error: float) -> AlignmentUpdate:
     """Return an update whose alignment states this std, m, at the wavelengths of the motion."""
     track = update.alignment
     assert track is not None
-    stated = alignment_std(replace(track, alignment_std=np.ones(len(track.s))))
+    stated = alignment_std(replace(track, alignment_std=np.ones(len(track.s))), ParameterUncertainty())
     return replace(update, alignment=replace(track, alignment_std=np.full(len(track.s), error / stated)))
 
 
@@ -129,8 +129,8 @@ def _alignment_error(truth: TrackTruth, track: TrackAlignment) -> float | None:
     Without a survey nothing says where the fleet is as a whole; None where no part of it is long enough.
     """
     s = np.asarray(np.arange(0.0, truth.s[-1], SURVEY_STEP))
-    d = alignment_at(s, track, USUAL_CUTOFF)
-    kernel = local_cubic_kernel(USUAL_CUTOFF, SURVEY_STEP)
+    d = alignment_at(s, track, ParameterUncertainty().usual_cutoff)
+    kernel = local_cubic_kernel(ParameterUncertainty().usual_cutoff, SURVEY_STEP)
     inside = valid_support(np.isfinite(d), kernel)
     if not inside.any():
         return None
@@ -145,7 +145,7 @@ def _scored(fleet: Fleet, update: AlignmentUpdate) -> SurveyScore:
     return SurveyScore(
         code=str(code_of(update.survey) or ""),
         refused=str(update.survey or "").startswith(NOT_USED),
-        alignment_std=None if known is None else alignment_std(known),
+        alignment_std=None if known is None else alignment_std(known, ParameterUncertainty()),
         alignment_error=None if known is None else _alignment_error(fleet.track, known),
         asked=len(fleet.conicity) * len(AMPLITUDES),
         published=tuple(_conicities(fleet, update)),

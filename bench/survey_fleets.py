@@ -24,6 +24,7 @@ from estimation.motion.integration import WindowParameters
 from estimation.track.gridded_pass import resampled
 from estimation.track.passes import Pass, ProfileLife, examine
 from estimation.values.arrays import FloatArray
+from estimation.values.units import HOUR_NS
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import (
     Arrangement,
@@ -34,14 +35,13 @@ from estimation.vehicle.vehicle_class import (
     VehicleParameters,
 )
 from ingest.simulator.irregularity import Isolated, IsolatedKind
-from ingest.simulator.motion import STEP, PreparedTable, WheelsetMotion
-from ingest.simulator.running_gear import RunningGear, simulate_gear
+from ingest.simulator.motion import STEP, WheelsetMotion
+from ingest.simulator.running_gear import PreparedTable, RunningGear, simulate_gear
 from ingest.simulator.sensors import draw_offsets, measure
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
 
 LENGTH, BEGIN = 4200.0, 100.0  # m, of the section, and where journeys begin and end
 PASS_STEP = 0.2  # m
-HOUR_NS = 3_600 * 10**9
 DEEPEST = 1.0e-3  # m of tread that the most worn wheelset has lost
 AMPLITUDES = np.array([1.0e-3, 1.5e-3, 2.0e-3, 2.5e-3, 3.0e-3])  # m
 GRID: FloatArray = np.asarray(np.arange(-180, 181) * 0.05e-3)  # m, of the contact tables

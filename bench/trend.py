@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.report import BenchRow, RowBench
-from estimation.trend.trend import fit_recent
+from estimation.trend.trend import TrendParameters, fit_recent
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Estimate
 
@@ -109,7 +109,7 @@ def rates(shapes: tuple[float, float, float], scatter: float = 1.0) -> Rates:
     """Return the rates over seeded histories."""
     level, slope, reached = [], [], []
     for history in histories(SEED, HISTORIES, shapes=shapes, scatter=scatter):
-        curve = fit_recent(history.x, history.value, history.std)
+        curve = fit_recent(history.x, history.value, history.std, TrendParameters())
         level.append(_contains(curve.level_now().estimate(1), history.true_level))
         slope.append(_contains(curve.slope_now().estimate(1), history.true_slope))
         reached.append([_reached(history, curve.reaches(history.level_ahead, p, HORIZON_KM)) for p in PROBABILITIES])

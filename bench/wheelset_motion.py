@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from estimation.contact.geometry import ContactTable
-from ingest.simulator.axle_motion import axle_motions, together
+from ingest.simulator.axle_motion import axle_motions, contact_of, together
 from ingest.simulator.campaign import VehicleRun
 from ingest.simulator.motion import WheelsetMotion
 from ingest.simulator.scenario import Scenario
@@ -18,5 +18,10 @@ def wheelset_motion(
     ``table`` is its contact geometry where that is at hand already; made here otherwise.
     """
     axles = together(scenario, run.vehicle, axle)
-    known = [table if place == axle else None for place in axles]
-    return axle_motions(scenario, track, run, axles, known)[axles.index(axle)]
+    tables = [
+        contact_of(scenario, track, run.vehicle.wheelsets[place], run.odometer).table
+        if table is None or place != axle
+        else table
+        for place in axles
+    ]
+    return axle_motions(scenario, track, run, axles, tables)[axles.index(axle)]

@@ -13,8 +13,8 @@ from estimation.jobs.job import JobContext, run_job
 from estimation.values.geometry import BinTable
 from estimation.values.runs import JobTrigger
 from estimation.values.track import EpochMember, FoldState, TrackEpoch
+from estimation.values.units import DAY_NS
 from estimation.values.windows import Window, WindowPosition, WindowRecord, WindowState
-from fleet_db.keeping.retention import DAY_NS
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.tables.recordings import ChunkRow

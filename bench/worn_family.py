@@ -32,7 +32,8 @@ from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.smoothed_profile import profile_from_points
 from estimation.contact.wear import HOLLOWS, RailWear, TreadWear, worn, worn_rail
 from estimation.errors import ContactError, ParameterError, ProfileError
-from estimation.trend.extrapolation import AMPLITUDES, TABLE, UNIT
+from estimation.trend.extrapolation import AMPLITUDES, TABLE
+from estimation.trend.parameters import CURVES
 from estimation.values.arrays import FloatArray
 
 STEP = 0.2e-3  # m of depth between two searches for contact
@@ -207,7 +208,7 @@ def main() -> None:
     """Compute every pair and write the table beside its module."""
     parts = []
     for index, pair in enumerate(PAIRS):
-        rows = np.round(conicities_of(pair) / UNIT)
+        rows = np.round(conicities_of(pair) / CURVES.stored_unit)
         parts.append(np.column_stack([np.full(len(rows), index), rows]))
     np.save(Path(wear.__file__).with_name(TABLE), np.concatenate(parts).astype(np.uint16))
 

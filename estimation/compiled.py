@@ -23,7 +23,7 @@ import llvmlite
 import numba
 import numpy as np
 from llvmlite.binding import get_host_cpu_name
-from numba.core import config, types
+from numba.core import config
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache, _CacheLocator
 from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
@@ -102,12 +102,6 @@ class _Implementation(CompileResultCacheImpl):
             raise ValueError("a file of compiled code is damaged")
         whole = pickle.loads(content)  # noqa: S301 - of a file that we may trust
         return super().rebuild(target_context, whole)  # type: ignore[no-untyped-call]
-
-    def check_cachable(self, cres: Any) -> bool:  # noqa: ANN401 - numba's own
-        # numba does not keep a function that hands another one on: its code has the address of that one. Nothing
-        # reads it, for the call was resolved when it was compiled. A function that is handed another one is looked for
-        # by that address, which no other process has.
-        return not any(isinstance(kind, types.Dispatcher) for kind in cres.signature.args)
 
 
 class _Files(FunctionCache):

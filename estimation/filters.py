@@ -187,9 +187,20 @@ def subtract(
 
 
 ORDER = 3  # of the derivative that is white
-REGULARISATION = 1e-12  # of the normal equations: what is removed may be nearly a spline itself
+
+
+@dataclass(frozen=True, slots=True)
+class FilterParameters:
+    """Knots and reach of the filters."""
+
+    regularisation: float = 1e-12  # of the normal equations: what is removed may be nearly a spline itself
+    knots_per_cut_off: int = 12  # twice as many change what is left of a wave by less than a hundredth of it
+    reach_in_widths: float = 3.5
+    cut_off_in_widths: float = 3.43  # halved over the width of the weights: (1 + u) exp(-u) = 1/2, u = 1.678
+
+
+FILTERS = FilterParameters()
 LENGTHS = 8  # of segments, whose functions are kept: most windows are whole
-KNOTS_PER_CUT_OFF = 12  # twice as many change what is left of a wave by less than a hundredth of it
 
 
 def subtract_smoothing_spline(
@@ -221,7 +232,7 @@ def subtract_smoothing_spline(
     explained = spline.solved(of_removed)
     weighted = removed * spline.weight
     gram = _products(weighted, removed)
-    gram[np.diag_indices_from(gram)] *= 1 + REGULARISATION
+    gram[np.diag_indices_from(gram)] *= 1 + FILTERS.regularisation
     gram -= _products(of_removed, explained)
     coefficients = spline.solved(wander)
     factor, right = np.linalg.cholesky(gram), _products(weighted, rows) - _products(of_removed, coefficients)
@@ -253,14 +264,14 @@ class _Spline:
 
 def _spline(distance: FloatArray, known: BoolArray, cutoff_wavelength: float) -> _Spline:
     length = float(distance[-1])
-    count = max(int(np.ceil(KNOTS_PER_CUT_OFF * length / cutoff_wavelength)), 1)
+    count = max(int(np.ceil(FILTERS.knots_per_cut_off * length / cutoff_wavelength)), 1)
     step = length / count
     interval, pieces = np.empty(len(distance), np.int64), np.empty((PIECES, len(distance)))
     place(distance, length * (1 - 1e-12), 1 / step, interval, pieces, count - 1)
     weight, band = np.where(known, np.gradient(distance), 0.0), np.zeros((count + PIECES - 1, PIECES))
     add_band(weight, interval, pieces, band)
     add_roughness(band, (cutoff_wavelength / (2 * np.pi)) ** (2 * ORDER) * step ** (1 - 2 * ORDER))
-    band[:, 0] *= 1 + REGULARISATION
+    band[:, 0] *= 1 + FILTERS.regularisation
     if not factorise(band):
         raise np.linalg.LinAlgError("the samples do not determine the wander")
     return _Spline(weight, interval, pieces, band)
@@ -321,19 +332,13 @@ def _after_gaps(n: int, gaps: Sequence[tuple[int, int]]) -> FloatArray:
 
 
 Precision = TypeVar("Precision", bound=np.floating[Any])
-REACH_IN_WIDTHS = 3.5
-CUT_OFF_IN_WIDTHS = 3.43  # wavelength that is halved over the width of the weights: (1 + u) exp(-u) = 1/2, u = 1.678
 
 
 @lru_cache(maxsize=64)
 def local_cubic_kernel(cutoff_wavelength: float, step: float) -> FloatArray:
-    """Return the weights (2 m + 1,) of the local cubic fit on a grid of ``step`` m, read-only; they sum to one.
-
-    Args:
-        cutoff_wavelength: Wavelength, m, of which half remains after the high-pass.
-    """
-    width = cutoff_wavelength / CUT_OFF_IN_WIDTHS
-    m = int(np.ceil(REACH_IN_WIDTHS * width / step))
+    """Return weights (2 m + 1,) of the local cubic fit on a grid, m; its high-pass leaves half of the cut-off wave."""
+    width = cutoff_wavelength / FILTERS.cut_off_in_widths
+    m = int(np.ceil(FILTERS.reach_in_widths * width / step))
     u = np.arange(-m, m + 1) * step / width
     weights = np.exp(-0.5 * u * u)
     moments = [float((weights * u**k).sum()) for k in (0, 2, 4)]
@@ -345,8 +350,7 @@ def local_cubic_kernel(cutoff_wavelength: float, step: float) -> FloatArray:
 def high_pass(signals: npt.NDArray[Precision], weights: npt.NDArray[Precision]) -> npt.NDArray[Precision]:
     """Return ``signals`` (m, n) minus their local fit; the first and last len(weights)//2 samples mean nothing.
 
-    Args:
-        weights: (2 k + 1,) from :func:`local_cubic_kernel` for that grid, of the same precision.
+    The weights are those of :func:`local_cubic_kernel` for that grid, of the same precision.
     """
     n, reach = signals.shape[-1], len(weights) // 2
     size = fft.next_fast_len(n + 2 * reach, real=True)

@@ -234,7 +234,6 @@ SYNC_ID = 0x080
 TIME_ID = 0x100
 
 SYNC_PERIOD = 240  # the counter runs 1..240 (CiA 301, object 1019h)
-NANOSECONDS = 1_000_000_000
 DAY_MS = 86_400_000
 EPOCH_DAYS = 5113  # days from 1970-01-01 to 1984-01-01, where CANopen's TIME_OF_DAY begins
 

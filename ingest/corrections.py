@@ -15,6 +15,7 @@ from estimation.errors import ConflictError, PassingFaultError
 from estimation.storage import Clock
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import SubjectKind, resolved
+from estimation.values.units import SECOND_NS
 from fleet_db.locks import keeping_alone
 from fleet_db.raw import RawStore
 from fleet_db.records import ChunkRecord, ChunkState, RecordingAction, RecordingChange
@@ -25,7 +26,6 @@ from ingest.recordings import ALWAYS, RECORDER_FIRST, RECORDER_LAST, is_beside
 
 STANDING = tuple(state for state in ChunkState if state is not ChunkState.DELETED)
 _log = logging.getLogger(__name__)
-SECOND_NS = 1_000_000_000
 ALLOWED = {
     RecordingAction.RETRY: (ChunkState.REJECTED, ChunkState.STORED),
     RecordingAction.SET_ASIDE: (ChunkState.STORED, ChunkState.DECODED, ChunkState.REJECTED),

@@ -9,9 +9,7 @@ import numpy as np
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import SectionLine
-
-SECOND_NS = 1_000_000_000
-DAY_NS = 86_400 * SECOND_NS
+from estimation.values.units import DAY_NS, SECOND_NS
 
 EARLIEST_NS = 946_684_800 * SECOND_NS
 """2000-01-01: a clock that shows less has not been set since it was switched on (CANopen's begins in 1984)."""

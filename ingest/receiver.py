@@ -19,6 +19,7 @@ from opentelemetry import trace
 from estimation.errors import ConflictError, LogFileError, NotFoundError, TreadwatchError
 from estimation.storage import Clock
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import SECOND_NS
 from fleet_db.raw import RawStore, check_raw_store
 from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
@@ -44,7 +45,6 @@ from ingest.recordings import Recording, Recordings
 from ingest.span_commit import NO_CHANGES, commit, still_so
 from ingest.stored_settings import BusChoice
 
-SECOND_NS = 1_000_000_000
 READ_AHEAD = 3
 ATTEMPTS_BESIDE_OTHERS = 3
 """How often a recording is assembled while others are stored, before the others have to wait for it."""

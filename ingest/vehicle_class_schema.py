@@ -18,9 +18,9 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from estimation.errors import InputError, NotFoundError, ParameterError
 from estimation.values.fields import JsonValue
+from estimation.values.units import GRAVITY, STEEL_POISSON_RATIO, STEEL_SHEAR_MODULUS
 from estimation.vehicle.plausibility import check_plausible
 from estimation.vehicle.vehicle_class import (
-    GRAVITY,
     Arrangement,
     BogieParameters,
     VehicleClass,
@@ -81,8 +81,6 @@ def _with_key(value: object) -> object:
 AnyUncertain = Annotated[UncertainNumber, BeforeValidator(_with_key)]
 PositiveUncertain = Annotated[_PositiveNumber, BeforeValidator(_with_key)]
 NotNegativeUncertain = Annotated[_NotNegativeNumber, BeforeValidator(_with_key)]
-
-
 WheelLength = Annotated[_WheelLength, BeforeValidator(_with_key)]
 
 
@@ -248,8 +246,8 @@ class VehicleClassEntry(InputTable):
                 rail_head_radius=_metres(creep.rail_head_radius_mm.value),
                 wheel_load=load / WHEELS_OF_AN_AXLE,
                 wheel_transverse_radius=math.inf if across is None else _metres(across.value),
-                shear_modulus=creep.shear_modulus_pa or kalker.STEEL_SHEAR_MODULUS,
-                poisson_ratio=kalker.STEEL_POISSON_RATIO if creep.poisson_ratio is None else creep.poisson_ratio,
+                shear_modulus=creep.shear_modulus_pa or STEEL_SHEAR_MODULUS,
+                poisson_ratio=STEEL_POISSON_RATIO if creep.poisson_ratio is None else creep.poisson_ratio,
             )
             values = kalker.creep_coefficients(radii)
         except ParameterError as error:
@@ -271,8 +269,6 @@ _CREEP_FIELDS: Mapping[str, str] = {
     "lateral_spin_creep_coefficient": "lateral_spin",
     "spin_creep_coefficient": "spin",
 }
-
-
 _LOCATIONS: Mapping[str, tuple[str, str]] = {  # table and key of a field of VehicleParameters or BogieParameters
     "wheelset_mass": ("wheelset", "mass_kg"),
     "yaw_inertia": ("wheelset", "yaw_inertia_kg_m2"),

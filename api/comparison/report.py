@@ -16,6 +16,7 @@ from api.comparison.study import PairStudy, Score, TrackInformation
 from estimation.contact.conicity import equivalent_conicity
 from estimation.estimators.catalogue import SHIPPED, estimators
 from estimation.values.fields import JsonValue
+from estimation.values.units import IN_MM
 
 TRACKS = {
     TrackInformation.KNOWN: "known",
@@ -166,7 +167,6 @@ _STYLES = (  # colour and marker, in the order of the catalogue
     ("#4d4d4d", "<"),
 )
 _WIDTH = 0.84  # of the estimators of one track, between ticks 1 apart
-_MM = 1e3
 _AMPLITUDES = np.linspace(0.5e-3, 6e-3, 111)
 
 
@@ -193,7 +193,7 @@ def _conicity(axes: Axes, study: PairStudy) -> None:
     track = TrackInformation.KNOWN if TrackInformation.FLEET in study.unestimated else TrackInformation.FLEET
     truth = study.example.truth
     true = equivalent_conicity(truth.displacement, truth.difference, _AMPLITUDES)
-    axes.plot(_MM * _AMPLITUDES, true, color="black", linewidth=2.2, label="truth", zorder=5)
+    axes.plot(IN_MM * _AMPLITUDES, true, color="black", linewidth=2.2, label="truth", zorder=5)
     for order, (name, title) in enumerate(titles().items()):
         geometry = study.example.geometries.get((track, name))
         if geometry is None:
@@ -204,11 +204,11 @@ def _conicity(axes: Axes, study: PairStudy) -> None:
         value, low, high = np.array(rows, dtype=np.float64).T
         if name == SHIPPED:
             axes.fill_between(
-                _MM * geometry.amplitude, low, high, color=colour, alpha=0.2, linewidth=0,
+                IN_MM * geometry.amplitude, low, high, color=colour, alpha=0.2, linewidth=0,
                 label=f"{title}: 95 % interval",
             )  # fmt: skip
         axes.plot(
-            _MM * geometry.amplitude, value, color=colour, marker=marker, markersize=4, linewidth=1.2,
+            IN_MM * geometry.amplitude, value, color=colour, marker=marker, markersize=4, linewidth=1.2,
             label=title,
         )  # fmt: skip
     axes.set_title(f"{study.pair}: wheelset {truth.serial}, track {TRACKS[track]}")

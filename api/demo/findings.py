@@ -209,9 +209,9 @@ def _by_signature(
 
 
 def _true_friction(scenario: Scenario) -> str:
-    running = scenario.running
-    parts = [f"{stretch.friction:.2f} at {stretch.begin:g} to {stretch.end:g} m" for stretch in running.stretches]
-    return ", ".join([*parts, f"{running.creep.friction:.2f} elsewhere"])
+    creep = scenario.creep
+    parts = [f"{stretch.friction:.2f} at {stretch.begin:g} to {stretch.end:g} m" for stretch in creep.stretches]
+    return ", ".join([*parts, f"{creep.friction:.2f} elsewhere"])
 
 
 def _low(service: ServiceAddress, section: str) -> str:

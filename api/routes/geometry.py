@@ -145,7 +145,8 @@ def _trend_then(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int
     baseline = _baseline(unit, serial, as_of_ns)
     then, current = unit.trends.latest(serial, as_of_ns), unit.geometries.current(serial, as_of_ns)
     mileage = _mileage_then(unit, serial, as_of_ns)
-    if then is not None and then.baseline == baseline:
+    # times on file are the vehicle's, and ``as_of`` is ours: what was recorded says which profile was the present one
+    if then is not None and (current is None or then.baseline >= current.baseline):
         return table_payload(trend.trend(then, current, mileage), media_type, trend.table)
     reason = _nothing_until("trend", as_of_ns)
     return table_payload(trend.no_trend(serial, baseline, reason, current, mileage), media_type, trend.table)

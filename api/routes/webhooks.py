@@ -28,6 +28,7 @@ from api.webhooks.cloud_events import Wanted, handled_up_to, in_state, make_webh
 from api.webhooks.sending import MOST_CHARACTERS, TRIALS, RefusedTargetError, Sender, parsed
 from estimation.errors import ParameterError
 from estimation.values.alerts import AlertEventKind, Severity
+from estimation.values.units import SECOND_NS
 from fleet_db.records import Delivery, DeliveryState, Failure, WebhookState
 from fleet_db.records import Webhook as WebhookRecord
 
@@ -280,7 +281,6 @@ async def _require_target(request: Request, url: str) -> None:
 
 
 _WRITING = [Depends(writer_slot)]
-SECOND_NS = 1_000_000_000
 
 
 @router.post("/{webhook_id}/test", response_model=WebhookTrial, responses=described(404, 415))

@@ -25,6 +25,7 @@ from estimation.trend.now import SCALE
 from estimation.values.alerts import OVER, AxlePosition, OpenAlert, Severity, Urgency, WorklistRow, WorklistState
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import DAY_NS, IN_MM, MILLIMETRE
 from estimation.worklist.turning_plan import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan
 from fleet_db.packed_values import from_document
 from fleet_db.stores.worklist import WorklistFilter, WorklistOrder, WorklistPlace
@@ -189,9 +190,6 @@ def get_wheelset(asked: AskedDep, serial: Serial) -> Response:
     return asked.one(lambda unit: common.wheelset(unit.registry.wheelset(serial)))
 
 
-_TO_MM = 1e3
-
-
 class TurningPlanLine(Representation):
     """One wheelset of the plan."""
 
@@ -274,15 +272,13 @@ def _turning_plan_line(line: PlanLine, row: WorklistRow) -> TurningPlanLine:
         urgency=state.urgency,
         distance_to_limit_km=distance_forecast(state.distance_to_limit_km, state.forecast_reason),
         date_of_limit=date_forecast(state.date_of_limit_ns, state.forecast_reason),
-        radius_mm=None if wheelset.radii is None else finite(min(wheelset.radii.wheels), _TO_MM),
-        radius_after_mm=finite(line.radius_after, _TO_MM),
+        radius_mm=None if wheelset.radii is None else finite(min(wheelset.radii.wheels), IN_MM),
+        radius_after_mm=finite(line.radius_after, IN_MM),
         not_checked=list(line.not_checked),
     )
 
 
 plans_router = APIRouter(prefix="/v1/plans", tags=["plans"])
-DAY_NS = 86_400_000_000_000
-_MM = 1e-3
 Horizon = Annotated[float, Query(ge=0.0, le=3650.0, description="How far ahead is planned.")]
 Together = Annotated[
     float, Query(ge=0.0, le=3650.0, description="What becomes due so soon after a visit is turned in it.")
@@ -324,7 +320,7 @@ def plan_reprofiling(
         if not documents:
             require_known(unit, fleet=fleet, vehicle=vehicle)
     given = (cut_mm, minimum_radius_mm, axle_difference_mm, bogie_difference_mm, vehicle_difference_mm)
-    limits = DiameterLimits(*(None if value is None else value * _MM for value in given))
+    limits = DiameterLimits(*(None if value is None else value * MILLIMETRE for value in given))
     rows = {row.wheelset.serial: row for row in map(from_document, documents)}
     candidates = [candidate(row, nominal_radii=nominal_radii) for row in rows.values()]
     now_ns = services.clock.now_ns()

@@ -26,9 +26,9 @@ from estimation.values.alerts import Alert, AlertScope
 from estimation.values.fields import JsonValue
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import SECOND_NS
 
 SAFE = 2**53  # beyond it a reader of JSON may round an integer
-SECOND_NS = 1_000_000_000
 Stored = Mapping[str, JsonValue]
 Read = Callable[[JsonValue], Any]
 

@@ -28,11 +28,13 @@ from estimation.contact.geometry import (
     radius_difference_curve,
 )
 from estimation.contact.method import ContactMethod
-from estimation.contact.profiles import TREAD_DATUM, ProfileKind, is_design, rail_profile, wheel_profile
+from estimation.contact.parameters import PROFILES
+from estimation.contact.profiles import ProfileKind, is_design, rail_profile, wheel_profile
 from estimation.contact.smoothed_profile import SmoothedProfile, exact
 from estimation.errors import InputError, ParameterError
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.values.arrays import FloatArray
+from estimation.values.units import MILLIMETRE
 from ingest.profiles.files import read_measured_profile
 from ingest.profiles.orientation import LEAST_LEAN, lean
 from ingest.profiles.points import Origin
@@ -139,7 +141,6 @@ def _curves(panel: Axes, y: FloatArray, curves: list[tuple[str, FloatArray, str]
 LEAST_PLAY_MM = 2.5  # a flange of 32.5 mm, the thickest of EN 13715, leaves 5 mm at 1435 and 1360 mm
 LEAST_TURN = 2e-3  # rad, of a wheel against its design
 FACE_DEPTH = 0.010  # m below the tread, where the thickness of a flange is measured
-_MILLIMETRE = 1e-3
 _DISPLACEMENT_MM = np.linspace(-8.0, 8.0, 161)
 _AMPLITUDE_MM = np.linspace(0.5, 7.0, 66)
 
@@ -190,10 +191,10 @@ def contact_of(
         left_rail=shapes.left_rail.profile,
         right_rail=shapes.right_rail.profile,
         inclination=parse_inclination(dimensions.inclination),
-        gauge=dimensions.gauge_mm * _MILLIMETRE,
-        left_radius=dimensions.radii_mm[0] * _MILLIMETRE,
-        right_radius=dimensions.radii_mm[1] * _MILLIMETRE,
-        flange_back_distance=dimensions.flange_back_mm * _MILLIMETRE,
+        gauge=dimensions.gauge_mm * MILLIMETRE,
+        left_radius=dimensions.radii_mm[0] * MILLIMETRE,
+        right_radius=dimensions.radii_mm[1] * MILLIMETRE,
+        flange_back_distance=dimensions.flange_back_mm * MILLIMETRE,
     )
     return Contact(wheelset, shapes, method, dimensions.inclination, speed_km_h)
 
@@ -241,7 +242,7 @@ def notes(contact: Contact) -> list[str]:
         for shape in shapes.values()
         if shape.design is not None and abs(shape.design.turn) >= LEAST_TURN
     ]
-    play = _play(contact.wheelset) / _MILLIMETRE
+    play = _play(contact.wheelset) / MILLIMETRE
     if play < LEAST_PLAY_MM:
         said.append(
             f"the flanges leave {play:.1f} mm of play to either side; is --flange-back-mm that of this vehicle, and "
@@ -266,7 +267,7 @@ def _play(wheelset: WheelsetOnTrack) -> float:
     for wheel in (wheelset.left_wheel, wheelset.right_wheel):
         deep = np.flatnonzero(wheel.z >= FACE_DEPTH)
         faces.append(float(wheel.y[deep[-1]]) if len(deep) else float("nan"))
-    return 0.5 * (wheelset.gauge - wheelset.flange_back_distance - 2.0 * TREAD_DATUM - sum(faces))
+    return 0.5 * (wheelset.gauge - wheelset.flange_back_distance - 2.0 * PROFILES.tread_datum - sum(faces))
 
 
 def parse_inclination(text: str) -> float:

@@ -32,6 +32,7 @@ from estimation.errors import StorageError
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.jobs.scheduler import serve_jobs
 from estimation.values.runs import JobOutcome, JobTrigger
+from estimation.values.units import HOUR_NS
 from fleet_db.migrate import upgrade
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
@@ -42,7 +43,6 @@ from ingest.simulator.fleet import FleetReport, Recording
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import load_scenario
 
-HOUR_NS = 3_600 * 1_000_000_000
 DAY_NS = 24 * HOUR_NS
 
 

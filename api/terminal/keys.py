@@ -13,9 +13,9 @@ from api.factory import open_store
 from api.settings import Settings, load_settings
 from api.terminal.store import columns, note, reading, second_text, user_here, writing
 from estimation.errors import ParameterError
+from estimation.values.units import DAY_NS
 from fleet_db.records import ApiKey
 
-DAY_NS = 86_400_000_000_000
 MOST_DAYS = 36_500.0
 KEY_HEAD = ("prefix", "owner", "scopes", "fleets", "created", "expires", "last used", "state")
 

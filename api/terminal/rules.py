@@ -23,9 +23,8 @@ from api.times import from_rfc3339, to_rfc3339
 from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.conicity_limit import SpeedBand
 from estimation.errors import InputError, NotFoundError
-from estimation.jobs.refresh_adhesion import KEPT_NS
+from estimation.jobs.parameters import WORK
 from estimation.jobs.rules_replay import (
-    DAY_NS,
     NOT_REPLAYED,
     Change,
     Difference,
@@ -35,6 +34,7 @@ from estimation.jobs.rules_replay import (
     section_replayed,
 )
 from estimation.values.alerts import Alert
+from estimation.values.units import DAY_NS
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
 _Settings = dict[tuple[str, str], str]
@@ -117,7 +117,7 @@ def replay(from_: str, to: str | None, file: Path | None, fleet: str | None) -> 
         console.print(_alerts_table(listed) if listed else "no alert differs")
     console.print(
         f"not replayed: {', '.join(NOT_REPLAYED)}, rejected recordings, grouping into fleet alerts; low_adhesion "
-        f"where windows keep their sums of friction, {KEPT_NS // DAY_NS} days; nothing was written",
+        f"where windows keep their sums of friction, {WORK.sums_kept_ns // DAY_NS} days; nothing was written",
         highlight=False,
     )
 

@@ -6,15 +6,9 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from estimation.vehicle.linear_model import (
-    HIGHEST_SPEED,
-    LinearContact,
-    critical_speed,
-    klingel_wavelength,
-    linear_model,
-    modes,
-)
+from estimation.vehicle.linear_model import LinearContact, critical_speed, klingel_wavelength, linear_model, modes
 from estimation.vehicle.observability import CAUSES, Running, conicity_shifts, observability
+from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import VehicleClass
 from ingest.vehicle_class_schema import read_vehicle_class, shipped_class, shipped_classes
 
@@ -70,7 +64,7 @@ def _critical_speeds(vehicle_class: VehicleClass) -> Iterator[str]:
     yield "Critical speed"
     for conicity in CONICITIES:
         speed = critical_speed(vehicle_class, LinearContact(conicity))
-        critical = f"above {HIGHEST_SPEED:g} m/s" if math.isinf(speed) else f"{speed:.0f} m/s"
+        critical = f"above {VEHICLE.highest_speed:g} m/s" if math.isinf(speed) else f"{speed:.0f} m/s"
         yield f"  conicity {conicity:g}: {critical}"
 
 

@@ -21,6 +21,7 @@ from api.services import require_known
 from api.times import to_rfc3339
 from estimation.errors import ConflictError
 from estimation.values.alerts import AlertEvent
+from estimation.values.units import SECOND_NS
 from fleet_db.records import Webhook, WebhookState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.installation import FeedBranch
@@ -28,7 +29,6 @@ from fleet_db.stores.installation import FeedBranch
 PREFIX = "whsec_"
 SECRET_BYTES = 32
 MEDIA_TYPE = "application/cloudevents+json"
-NS = 1_000_000_000
 
 
 def new_secret() -> str:
@@ -47,7 +47,7 @@ def signed_headers(secrets_of: Sequence[str], event_id: str, now_ns: int, body: 
     """Return the headers of an event: its media type, and what lets a receiver know that it is ours."""
     if not secrets_of:
         raise ValueError("the webhook has no secret")
-    timestamp = now_ns // NS
+    timestamp = now_ns // SECOND_NS
     return {
         "Content-Type": MEDIA_TYPE,
         "webhook-id": event_id,

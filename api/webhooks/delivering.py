@@ -24,36 +24,27 @@ from api.webhooks.sending import Outcome, Sender
 from estimation.errors import NotFoundError, TreadwatchError
 from estimation.storage import Clock
 from estimation.values.alerts import AlertEvent
+from estimation.values.units import SECOND_NS
 from fleet_db.locks import sending_alone
 from fleet_db.records import Delivery, DeliveryState, DisabledReason, Failure, Webhook, WebhookState
 from fleet_db.session import BUSY_TIMEOUT_MS
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.installation import FeedBranch
 
-SECOND_NS = 1_000_000_000
 LONGEST_DIGITS = 9
 
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """Delays that grow from attempt to attempt; an event is given up when it was tried for long and often enough.
-
-    Attributes:
-        first_s, factor, longest_s: First delay, what each is times the one before, and the longest, s.
-        jitter_1: Share by which a delay is made shorter or longer at random: receivers that failed together are not
-            asked together.
-        span_s, least_attempts: An event is given up after an attempt that fails so long after the first, s, and only
-            after so many: a service that was off for days does not give up what it has hardly tried.
-        longest_asked_s: What a receiver may ask for by ``Retry-After``, s.
-    """
+    """Delays that grow from attempt to attempt; an event is given up when it was tried for long and often enough."""
 
     first_s: float = 5.0
-    factor: float = 3.0
+    factor: float = 3.0  # of each delay to the one before
     longest_s: float = 28_800.0
-    jitter_1: float = 0.2
-    span_s: float = 259_200.0
-    least_attempts: int = 10
-    longest_asked_s: float = 43_200.0
+    jitter_1: float = 0.2  # share, at random: receivers that failed together are not asked together
+    span_s: float = 259_200.0  # from the first attempt, after which an event is given up ...
+    least_attempts: int = 10  # ... and after so many: a service that was off for days has hardly tried
+    longest_asked_s: float = 43_200.0  # that a receiver may ask for by ``Retry-After``
 
     def next_ns(
         self, first_ns: int, attempts: int, now_ns: int, chance_1: float, asked_s: float | None = None

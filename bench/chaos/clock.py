@@ -30,9 +30,9 @@ from bench.chaos.small_deployment import (
 )
 from bench.report import BenchRow
 from bench.services import free_port, started, until
+from estimation.values.units import HOUR_NS
 
 SECONDS = 45.0
-HOUR_NS = 3_600_000_000_000
 SHIFTS = {"+400 days": 400 * 24 * HOUR_NS, "-1 hour": -HOUR_NS}
 BACK_WITHIN_S = 60.0
 CUTS = (0.25, 0.5, 0.75)

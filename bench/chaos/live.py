@@ -22,6 +22,7 @@ from bench.chaos.run import ChaosSettings
 from bench.chaos.small_deployment import PASSWORD, Databases, databases, faults
 from bench.report import BenchRow
 from bench.services import started, until
+from estimation.values.units import SECOND_NS
 from fleet_db.raw import FileRawStore
 from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
@@ -32,7 +33,6 @@ from tests.ingest.vehicle_bus import VEHICLE, Run
 
 CHANNEL = "239.74.163.91"
 PATIENCE_S = 120.0
-SECOND_NS = 1_000_000_000
 OTHERS = 0x500
 """Identifiers from here on are those of other devices on a busy bus, which nobody decodes."""
 

@@ -20,6 +20,7 @@ from bench.report import BenchRow
 from bench.small_fleets import Workload, deployed, small_fleet
 from estimation.jobs.job import JobContext
 from estimation.values.registry import Mounting, Reprofiling
+from estimation.values.units import HOUR_NS
 from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.records import Decision, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
@@ -30,7 +31,6 @@ from tests.postgres_server import stoppable_server
 
 SECTION, VEHICLE = "C-1", "C-1"
 WHEELSETS = ("C-11", "C-12")
-HOUR_NS = 3_600_000_000_000
 UNDONE = Decision("chaos", "a mistake")
 
 Undo = Callable[[SqlUnitOfWork], None]
@@ -170,7 +170,7 @@ WORN = {"1": ((0.1, 1.2), (2.4, 0.0))}  # mm, and by 100,000 km
 KEPT = '[days]\nwindow_samples = "for ever"\nwindow_bin_tables = "for ever"\n'
 """The recordings are older than what is kept by default."""
 
-OF_TRACK = ("alignments in force", "suspension", "fleet alerts")
+TRACK = ("alignments in force", "suspension", "fleet alerts")
 """Not compared: what carries numbers of versions, or groups alerts by the times at which they opened."""
 
 SHORT = 4
@@ -201,7 +201,7 @@ class Deployment:
 
     def derived(self) -> Mapping[str, str]:
         """Return digests of what is derived and served, without times of recording and numbers of versions."""
-        return {name: digest for name, digest in final_state(self.storage).items() if name not in OF_TRACK}
+        return {name: digest for name, digest in final_state(self.storage).items() if name not in TRACK}
 
 
 @contextmanager

@@ -12,16 +12,18 @@ from typing import Annotated
 import numpy as np
 from scipy.special import betaincinv
 
+from estimation.accuracy.parameters import ACCURACY
 from estimation.accuracy.wheel_contact import AMPLITUDES, WheelContact
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, conicity_at_limit_amplitude
 from estimation.values.arrays import FloatArray
 from estimation.values.fields import Served
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry
-from estimation.values.quantities import NORMAL_95, Estimate, Status
+from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
 from estimation.values.trend import IdentityChange
+from estimation.values.units import NORMAL_95
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,9 +175,6 @@ def _key(amplitude: float) -> int:
     return round(amplitude / SAME_AMPLITUDE)
 
 
-_TAIL = 0.025  # on either side of a 95 % interval
-
-
 def covers(estimated: Estimate, measured: Estimate) -> bool | None:
     """Return whether the 95 % interval of an estimate covers a measured value; None where either is unknown."""
     # the measurement errs too: the half of the interval on its side and 1.96 of its standard deviations are added as
@@ -216,8 +215,8 @@ class CoverageCount:
         n, k = self.compared, self.covered
         if n == 0:
             return None
-        low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, _TAIL))
-        high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1.0 - _TAIL))
+        low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, ACCURACY.tail_probability))
+        high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1.0 - ACCURACY.tail_probability))
         return low, high
 
 
@@ -296,11 +295,6 @@ def _grouped(
     return {key: _count(members) for key, members in sorted(groups.items())}
 
 
-SEARCHED = 0.6e-3  # m
-SEARCH_STEP = 5e-6  # m
-MOST_DEVIATION = 3.0  # standard deviations that one bin counts at most
-
-
 @dataclass(frozen=True, slots=True)
 class CurveOrigin:
     """The point of a known curve from which the estimated one is counted."""
@@ -321,11 +315,11 @@ def curve_origin(
     if not known.any():
         return CurveOrigin(crossing, 0.0)
     best = (np.inf, crossing, 0.0)
-    low, high = min(crossing, 0.0) - SEARCHED, max(crossing, 0.0) + SEARCHED
-    for shift in np.linspace(low, high, round((high - low) / SEARCH_STEP) + 1):
+    low, high = min(crossing, 0.0) - ACCURACY.search_reach, max(crossing, 0.0) + ACCURACY.search_reach
+    for shift in np.linspace(low, high, round((high - low) / ACCURACY.search_step) + 1):
         curve = np.interp(centre + shift, displacement, difference)
         mean = float(found.samples @ curve / found.samples.sum())
         deviation = (R.value - curve + mean)[known] / R.std[known]
-        misfit = float(np.minimum(deviation**2, MOST_DEVIATION**2).sum())
+        misfit = float(np.minimum(deviation**2, ACCURACY.most_bin_stds**2).sum())
         best = min(best, (misfit, float(shift), mean))
     return CurveOrigin(best[1], best[2])

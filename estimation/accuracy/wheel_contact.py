@@ -8,6 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
+from estimation.accuracy.parameters import ACCURACY
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.contact.geometry import (
     ContactTable,
@@ -20,13 +21,12 @@ from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, rail_profile
 from estimation.errors import ContactError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray, FrozenArrays
-from estimation.values.fields import IN_MM, Served
-from estimation.values.quantities import NORMAL_95, Estimate, Status, with_interval
+from estimation.values.fields import Served
+from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import IN_MM, NORMAL_95
 
-AMPLITUDES: FloatArray = np.arange(1, 9, dtype=np.float64) * 1e-3  # m
-REACH = 12e-3  # m: an amplitude of 8 mm about a centre that is 4 mm off
-STEP = 0.1e-3  # m
+AMPLITUDES: FloatArray = np.array(ACCURACY.amplitudes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,11 +100,8 @@ def wheel_contact(wheels: WheelPair, rails: Sequence[RailShare]) -> WheelContact
 def conicity_of(x: FloatArray, curve: FloatArray, amplitude: FloatArray, std: float) -> tuple[Estimate, ...]:
     """Return the equivalent conicity of a curve at each amplitude, with what an error of the displacement makes of it.
 
-    The error is a stretch of the displacement by ``std`` at the amplitude: both turning points err alike. It counts
+    The error is a stretch of the displacement by ``std``, m, at the amplitude: both turning points err alike. It counts
     by the largest change per standard deviation within a 95 % interval, for a contact jump may be passed far out only.
-
-    Args:
-        std: Of the displacement at a rolling radius difference, m.
     """
     here = equivalent_conicity(x, curve, amplitude)
     changes = np.zeros((4, len(amplitude)))
@@ -135,7 +132,7 @@ def _on_rails(wheels: WheelPair, one: RailShare) -> tuple[ContactTable, RadiusDi
     wheelset = WheelsetOnTrack(
         wheels.left, wheels.right, rail, rail, one.inclination, one.gauge, wheels.nominal_radius, wheels.nominal_radius
     )
-    x = STEP * np.arange(-round(REACH / STEP), round(REACH / STEP) + 1)
+    x = ACCURACY.displacement()
     table = contact_table(wheelset, x, method=ContactMethod.EN15302, outside="hold")
     return table, refined_curve(wheelset, table, 0)
 

@@ -19,25 +19,19 @@ from typing import Annotated, Self
 
 import numpy as np
 
+from estimation.adhesion.parameters import FORCES
 from estimation.adhesion.stationary_filter import AXLE, StationaryFilter, stationary_filter
 from estimation.compiled import compiled
 from estimation.filters import remove_wander
 from estimation.motion.checks import moving_samples
-from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment, SignalParameters, integrate
+from estimation.motion.integration import IntegratedSegment, SignalParameters, integrate
+from estimation.motion.parameters import MOTION
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS, Window
-from estimation.vehicle.vehicle_class import (
-    AXLES_OF_A_BOGIE,
-    CREEP_STD,
-    GRAVITY,
-    LOAD_STD,
-    STIFFNESS_STD,
-    UNSTATED_SCALE_STD,
-    SensorLayout,
-    VehicleClass,
-    VehicleParameters,
-)
+from estimation.vehicle.parameters import VEHICLE
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, SensorLayout, VehicleClass, VehicleParameters
 
 ROLL, LATERAL, YAW, MASS = (
     ACCELERATIONS.index(f"{name}_acceleration") for name in ("roll", "lateral", "yaw", "mass_lateral")
@@ -81,7 +75,9 @@ def gear_segments(
         return Reason(ReasonCode.INTERRUPTED, f"no uninterrupted run of {signals.shortest_segment_s:g} s")
     segments = []
     for parts in zip(*found, strict=True):
-        rolls = tuple(remove_wander(one.displacements[[ROLL]], one.run, one.known, ROLL_CUTOFF)[0] for one in parts)
+        rolls = tuple(
+            remove_wander(one.displacements[[ROLL]], one.run, one.known, MOTION.longest_roll_wave)[0] for one in parts
+        )
         segments.append(GearSegment(parts, rolls, _accelerations(windows, parts, rolls)))
     return GearSegments(tuple(segments), usable, windows[0].sample_interval_s, axles)
 
@@ -167,11 +163,6 @@ def smooth_back(back: FloatArray, predicted: FloatArray, filtered: FloatArray) -
         add_product(back, gained, filtered[i])
 
 
-BAND_HZ = 12.0  # end of the band that is kept
-VIBRATING = 0.25  # rms of what a lateral acceleration has above the band, m/s2: more than contact jumps make
-HALF_LENGTH_S = 0.12  # of the low-pass, on each side
-
-
 def without_vibration(
     accelerations: FloatArray, known: BoolArray, sample_interval_s: float, lateral: slice
 ) -> tuple[FloatArray, bool]:
@@ -179,15 +170,12 @@ def without_vibration(
     from scipy import signal  # noqa: PLC0415 - slow to import, and few need it
 
     rate = 1.0 / sample_interval_s
-    weights = signal.firwin(2 * round(HALF_LENGTH_S * rate) + 1, BAND_HZ, fs=rate)
+    weights = signal.firwin(2 * round(FORCES.low_pass_half_s * rate) + 1, FORCES.band_hz, fs=rate)
     smooth = signal.fftconvolve(accelerations, weights[None], mode="same", axes=1)
     rest = (accelerations - smooth)[lateral][:, known]
-    if float(np.sqrt(np.mean(rest**2, axis=1)).max()) <= VIBRATING:
+    if float(np.sqrt(np.mean(rest**2, axis=1)).max()) <= FORCES.vibration_rms:
         return accelerations, False
     return np.where(known, smooth, 0.0), True
-
-
-MOST_INNOVATION = 10.0  # mean square of a channel's innovations over what the filter expects; see docs/adhesion.md
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,11 +200,11 @@ def forces_on(gear: GearSegments, vehicle_class: VehicleClass) -> tuple[ContactF
         named, innovation, vibrates = _smoothed(gear, segment, vehicle_class)
         values[:, :, segment.axles[0].part] = named
         worst, vibrating = max(worst, innovation), vibrating or vibrates
-    if not (np.isfinite(worst) and worst <= MOST_INNOVATION):
+    if not (np.isfinite(worst) and worst <= FORCES.most_innovation):
         return Reason(
             ReasonCode.DIVERGED,
             f"the innovations of the filter are {np.sqrt(worst):.1f} times what the vehicle's class lets expect, at"
-            f" most {np.sqrt(MOST_INNOVATION):.1f} times are believed; check class and sensors",
+            f" most {np.sqrt(FORCES.most_innovation):.1f} times are believed; check class and sensors",
         )
     return tuple(
         ContactForces(contact, moment, yaw_rate, roll, usable, worst, vibrating)
@@ -231,7 +219,7 @@ def _smoothed(gear: GearSegments, segment: GearSegment, vehicle_class: VehicleCl
     first = parts[0]
     speed = float(first.speed.mean())
     made = stationary_filter(vehicle_class, gear.sample_interval_s, speed)
-    roll_rates = [remove_wander(one.rates[[ROLL]], one.run, one.known, ROLL_CUTOFF)[0] for one in parts]
+    roll_rates = [remove_wander(one.rates[[ROLL]], one.run, one.known, MOTION.longest_roll_wave)[0] for one in parts]
     measurements = np.zeros((len(first.speed), len(made.measured)))
     lateral = slice(0, 2 * made.axles, 2)
     steady, vibrating = without_vibration(segment.accelerations, first.known, gear.sample_interval_s, lateral)
@@ -286,21 +274,15 @@ def _named(
     return np.stack([states[:, force], states[:, force + 1] + gyroscopic, states[:, AXLE * axle + 3], roll])
 
 
-# creep coefficient, yaw spring and load on file scale 1/mu; the scale of a sensor looks like creep that grows with the
-# force, at every friction alike: in parts of b, as measured with sensors that are 5 % off (`bench adhesion`)
-YAW_AS_CREEP = 0.55  # b that a scale of the yaw sensors leaves, over its error
-LATERAL_AS_CREEP = 0.35  # the same of the lateral sensors
-
-
 @dataclass(frozen=True, slots=True)
 class FileErrors:
     """Relative stds of what all vehicles of a class have in common."""
 
-    creep: float = CREEP_STD  # coefficient
-    spring: float = STIFFNESS_STD  # in yaw
-    load: float = LOAD_STD
-    yaw_scale: float = UNSTATED_SCALE_STD  # of the yaw sensors
-    lateral_scale: float = UNSTATED_SCALE_STD  # of the lateral sensors
+    creep: float = VEHICLE.creep_std  # coefficient
+    spring: float = VEHICLE.stiffness_std  # in yaw
+    load: float = VEHICLE.load_std
+    yaw_scale: float = VEHICLE.unstated_scale_std  # of the yaw sensors
+    lateral_scale: float = VEHICLE.unstated_scale_std  # of the lateral sensors
 
     @classmethod
     def of(cls, classes: Collection[VehicleClass]) -> Self:
@@ -323,7 +305,7 @@ class FileErrors:
     @property
     def creep_std(self) -> float:
         """Std of what the scales of the sensors leave, as a b of all vehicles."""
-        return math.hypot(YAW_AS_CREEP * self.yaw_scale, LATERAL_AS_CREEP * self.lateral_scale)
+        return math.hypot(FORCES.yaw_scale_creep * self.yaw_scale, FORCES.lateral_scale_creep * self.lateral_scale)
 
 
 def lateral_scale_std(sensors: SensorLayout) -> float:
@@ -366,3 +348,16 @@ class FrictionParameters:
     fresh: float = 0.05  # share of places whose friction has nothing to do with that of the place before
     least_upper: float = 0.6  # an interval that reaches beyond says no more than a lower bound
     rounds: int = 12
+    wheelset_scatter: float = 0.1  # std of the logarithm of a wheelset's scale: its curve and its profiles
+    fewest_with_scale: int = 3  # of two that contradict each other nobody knows which is wrong
+    most_deviation_stds: float = 3.0  # stds
+    wrong_place_share: float = 0.05  # of places, whose error is so many times that of the others
+    wrong_factor: float = 3.0
+    least_likelihood: float = 1e-12  # of the largest: no place makes another one impossible
+    best_inverse: float = 2.0  # 1/mu of the best rails: what places show below is error
+    below_best_share: float = 0.1  # share of the places that may be below by their errors alone
+    least_common_std: float = 0.4  # std of what is common over all that is left: no section shows less
+    prior_places: float = 20.0  # that are worth as much as the expectation that all of it is common
+    most_creep_stds: float = 2.0  # stds of b that all vehicles have in common, from which the shape is asked
+    least_creep_support: float = 0.8  # of the squares that an error of linear creep would leave, to be taken for one
+    learnt_std_share: float = 0.7  # of the std beforehand: with more, the passes say nothing of a place

@@ -33,26 +33,26 @@ from estimation.adhesion.pass_sums import (
     creep_levels,
     pass_sums,
 )
-from estimation.motion.checks import MARGIN
+from estimation.motion.parameters import MOTION
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
-from estimation.values.quantities import NORMAL_95, Estimate, Status
+from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
-
-MOST_CREEP = 2.0  # stds of b that all vehicles have in common, from which the shape is asked
-LEAST_SUPPORT = 0.8  # of the squares that an error of linear creep would leave, to be taken for one
+from estimation.values.units import MEDIAN_SQUARE, NORMAL_95
 
 
-def slippery_throughout(sums: PassSums, creep: FloatArray, slope: FloatArray, creep_error_std: float) -> bool:
+def slippery_throughout(
+    sums: PassSums, creep: FloatArray, slope: FloatArray, creep_error_std: float, parameters: FrictionParameters
+) -> bool:
     """Return whether it is the rails that make the creep of all vehicles large."""
     common = float(np.mean(creep))
-    if common < MOST_CREEP * creep_error_std:
+    if common < parameters.most_creep_stds * creep_error_std:
         return False
     by_rails, by_creep = (_left(sums, b, slope) for b in (creep - common, creep))
     gg, gq = sums.saturated[:, 1], sums.saturated[:, 2]
     square = common**2 * float(sums.squares[:, 2].sum())
     error_alone = square + float(sums.by_place(gg - 2.0 * common * gq).min(axis=1).sum())
-    return by_rails - by_creep < LEAST_SUPPORT * error_alone
+    return by_rails - by_creep < parameters.least_creep_support * error_alone
 
 
 def _left(sums: PassSums, creep: FloatArray, slope: FloatArray) -> float:
@@ -62,9 +62,7 @@ def _left(sums: PassSums, creep: FloatArray, slope: FloatArray) -> float:
     return float(linear.sum() + sums.by_place(_own_misfits(sums, creep, slope)).min(axis=1).sum())
 
 
-LEARNT = 0.7  # of the std beforehand: with more, the passes say nothing of a place
 TINY = np.finfo(float).tiny
-MEDIAN_SQUARE = 0.4549  # of a standard normal variable
 NO_BOUND = Reason(ReasonCode.CREEP_TOO_SMALL, "creep shows no upper bound, and axle boxes that vibrate no lower one")
 
 
@@ -97,7 +95,7 @@ def pooled_friction(
     left_out: list[LeftOut] = []
     while (sums := pass_sums(_staying(passes, left_out))) is not None:
         found = _solved(sums, parameters)
-        other = contradicting(sums, found, parameters.file)
+        other = contradicting(sums, found, parameters.file, parameters)
         if other is None:
             return _places(sums, found, parameters), tuple(left_out)
         left_out.append(other)
@@ -143,7 +141,7 @@ class _Solution(Agreed):
 
 def _solved(sums: PassSums, parameters: FrictionParameters) -> _Solution:
     found = _in_turn(sums, parameters, None)
-    if not slippery_throughout(sums, found.creep, found.slope, parameters.creep_error_std):
+    if not slippery_throughout(sums, found.creep, found.slope, parameters.creep_error_std, parameters):
         return found
     return _in_turn(sums, parameters, (found.creep - found.creep.mean(), parameters.creep_error_std))
 
@@ -160,7 +158,7 @@ def _in_turn(sums: PassSums, parameters: FrictionParameters, given: tuple[FloatA
         noise = _noise(sums, at, creep, slope)
         left = sums.squares[:, 3] - at[3] - creep[sums.vehicle] * sums.squares[:, 4]
         slope = np.bincount(sums.wheelset, left) / (np.bincount(sums.wheelset, sums.squares[:, 5]) + TINY)
-        common = common_std(sums, inverse, creep, slope, parameters.usual)
+        common = common_std(sums, inverse, creep, slope, parameters.usual, parameters)
     return _Solution(inverse, slope, noise, parameters.creep_error_std, creep, left_std, common)
 
 
@@ -222,7 +220,7 @@ def _cell(
     if n < parameters.fewest_passes:
         few = Reason(ReasonCode.TOO_FEW_PASSES, f"{n} of {parameters.fewest_passes} passes that are needed")
         return CellFriction(cell, Estimate.unknown(few, float(n)), 0.0, 0.0, n)
-    if left > LEARNT * parameters.usual_std:
+    if left > parameters.learnt_std_share * parameters.usual_std:
         small = Reason(ReasonCode.CREEP_TOO_SMALL, f"creep is so small in {n} passes that it shows no friction")
         return CellFriction(cell, Estimate.unknown(small, float(n)), 0.0, 0.0, n)
     sampled, by_creep, by_scale = stds
@@ -281,5 +279,6 @@ def touched(one: WindowAdhesion, stretches: Sequence[tuple[float, float]]) -> tu
     """Return the stretches of low friction that a window was on."""
     if one.sums is None or not len(one.sums.cells):
         return ()
-    first, behind = CELL_LENGTH * one.sums.cells[0], CELL_LENGTH * (one.sums.cells[-1] + 1)
-    return tuple((begin, end) for begin, end in stretches if begin < behind + MARGIN and end > first - MARGIN)
+    margin = MOTION.low_friction_margin
+    first, last = CELL_LENGTH * one.sums.cells[0] - margin, CELL_LENGTH * (one.sums.cells[-1] + 1) + margin
+    return tuple((begin, end) for begin, end in stretches if begin < last and end > first)

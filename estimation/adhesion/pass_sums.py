@@ -36,9 +36,11 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from estimation.adhesion.creep_forces import FileErrors, FrictionParameters
+from estimation.adhesion.parameters import FORCES
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.opinions import INVERSE, LeftOut, WindowAdhesion
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import MEDIAN_ERROR, NORMAL_90, STD_PER_MAD
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,14 +107,12 @@ def pass_sums(passes: Sequence[WindowAdhesion]) -> PassSums | None:
     )
 
 
-SCALES = frozen_array(np.linspace(-1.8, 1.8, 73), (73,), name="SCALES")
+SCALES = frozen_array(
+    np.linspace(-FORCES.widest_scale, FORCES.widest_scale, FORCES.scale_points), (FORCES.scale_points,), name="SCALES"
+)
 """(s,) logarithms of scales that are tried: a sixth to six times."""
 
-WHEELSET_SCATTER = 0.1  # std of the logarithm of a wheelset's scale beside the noise: its curve and its profiles
-FEWEST_VEHICLES = 3  # of two that contradict each other nobody knows which is wrong
-MOST_DEVIATION = 3.0  # stds
-MOST_STD = 0.25  # of the logarithm of a scale that is compared
-FAR = 0.5  # of the logarithm: over which that std is measured
+
 TINY = np.finfo(float).tiny
 
 
@@ -134,8 +134,9 @@ class Scales(FrozenArrays):
     @property
     def known(self) -> BoolArray:
         """(g,) those that a scale well below, or above the least of the grid, does not fit."""
-        below = self.logarithm - FAR
-        return np.asarray(self.std_from(np.where(below >= SCALES[0], below, self.logarithm + FAR)) < MOST_STD)
+        below = self.logarithm - FORCES.scale_reach
+        beside = np.where(below >= SCALES[0], below, self.logarithm + FORCES.scale_reach)
+        return np.asarray(self.std_from(beside) < FORCES.most_scale_std)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +173,7 @@ def _least(misfits: FloatArray) -> FloatArray:
     return np.asarray(np.where(inside, SCALES[at] + moved * step, SCALES[least]))
 
 
-def contradicting(sums: PassSums, agreed: Agreed, file: FileErrors) -> LeftOut | None:
+def contradicting(sums: PassSums, agreed: Agreed, file: FileErrors, parameters: FrictionParameters) -> LeftOut | None:
     """Return the vehicle that differs most from the others by more than is stated; if none, such a wheelset; else None.
 
     One at a time: what all passes agree on has part of its error, until it is left out.
@@ -181,29 +182,31 @@ def contradicting(sums: PassSums, agreed: Agreed, file: FileErrors) -> LeftOut |
     vehicle_of = np.zeros(len(by_wheelset.logarithm), np.int64)
     vehicle_of[sums.wheelset] = sums.vehicle
     known = by_vehicle.known
-    if known.sum() < FEWEST_VEHICLES:
+    if known.sum() < parameters.fewest_with_scale:
         return None
     usual = np.full(len(known), np.median(by_vehicle.logarithm[known]))
     own = by_vehicle.logarithm[vehicle_of]
-    scatter = WHEELSET_SCATTER / np.sqrt(np.bincount(vehicle_of))
+    scatter = parameters.wheelset_scatter / np.sqrt(np.bincount(vehicle_of))
     stated = np.hypot(np.hypot(file.spring, file.load), scatter)
-    vehicle = _most_deviating(by_vehicle, usual, stated, known)
+    vehicle = _most_deviating(by_vehicle, usual, stated, known, parameters)
     if vehicle is not None:
         factor = float(np.exp(by_vehicle.logarithm[vehicle] - usual[vehicle]))
         return _left_out(sums.vehicles[vehicle], None, factor, "the other vehicles")
-    of_wheelset = np.full(len(own), np.hypot(WHEELSET_SCATTER, file.spring))
-    wheelset = _most_deviating(by_wheelset, own, of_wheelset, by_wheelset.known & known[vehicle_of])
+    of_wheelset = np.full(len(own), np.hypot(parameters.wheelset_scatter, file.spring))
+    wheelset = _most_deviating(by_wheelset, own, of_wheelset, by_wheelset.known & known[vehicle_of], parameters)
     if wheelset is None:
         return None
     factor = float(np.exp(by_wheelset.logarithm[wheelset] - own[wheelset]))
     return _left_out(sums.vehicles[vehicle_of[wheelset]], sums.wheelsets[wheelset], factor, "the rest of its vehicle")
 
 
-def _most_deviating(found: Scales, usual: FloatArray, stated: FloatArray, known: BoolArray) -> int | None:
+def _most_deviating(
+    found: Scales, usual: FloatArray, stated: FloatArray, known: BoolArray, parameters: FrictionParameters
+) -> int | None:
     """Return the known group that deviates most from ``usual``, in stds of noise and ``stated``; None for no such."""
     deviation = np.where(known, np.abs(found.logarithm - usual) / np.hypot(found.std_from(usual), stated), 0.0)
     worst = int(np.argmax(deviation))
-    return worst if deviation[worst] > MOST_DEVIATION else None
+    return worst if deviation[worst] > parameters.most_deviation_stds else None
 
 
 def _left_out(vehicle: str, wheelset: str | None, factor: float, others: str) -> LeftOut:
@@ -212,12 +215,8 @@ def _left_out(vehicle: str, wheelset: str | None, factor: float, others: str) ->
     return LeftOut(vehicle, wheelset, Reason(ReasonCode.FRICTION_DIFFERS, text))
 
 
-POINTS = 160
-GRID = frozen_array(np.geomspace(1.0, INVERSE[-1], POINTS), (POINTS,), name="GRID")
+GRID = frozen_array(np.geomspace(1.0, INVERSE[-1], FORCES.inverse_points), (FORCES.inverse_points,), name="GRID")
 """(g,) 1/mu, each a constant part above the one before: steps in the logarithm are alike."""
-
-WRONG_SHARE, WRONG_BY = 0.05, 3.0  # of places, whose error is so many times that of the others
-LEAST_LIKELIHOOD = 1e-12  # of the largest: no place makes another one impossible
 
 
 def along_track(
@@ -239,10 +238,11 @@ def along_track(
     values = CubicSpline(INVERSE, misfits, axis=1)(GRID)
     own = np.exp(-0.5 * (values - values.min(axis=1, keepdims=True)))
     widened = np.empty_like(own)
+    wrong = parameters.wrong_place_share
     for std in np.unique(place_std):
-        spread = (1.0 - WRONG_SHARE) * _spread(std, width) + WRONG_SHARE * _spread(WRONG_BY * std, width)
+        spread = (1.0 - wrong) * _spread(std, width) + wrong * _spread(parameters.wrong_factor * std, width)
         widened[place_std == std] = own[place_std == std] @ spread.T
-    likelihoods = np.asarray(widened / widened.max(axis=1, keepdims=True) + LEAST_LIKELIHOOD)
+    likelihoods = np.asarray(widened / widened.max(axis=1, keepdims=True) + parameters.least_likelihood)
     adjoins = np.diff(cells) == 1
     forward, back = np.empty_like(likelihoods), np.ones_like(likelihoods)
     for place, likelihood in enumerate(likelihoods):
@@ -267,14 +267,14 @@ def _normal(values: FloatArray) -> FloatArray:
     return np.asarray(values / values.sum())
 
 
-BEST = 2.0  # 1/mu of the best rails: what places show below is error
-LOWEST = 0.1  # share of the places that may be below by their errors alone
-BELOW = 1.2816  # stds from the mean to that quantile
-LEAST_COMMON = 0.4  # std of what is common over all that is left: no section shows less
-PLACES_BEFORE = 20.0  # that are worth as much as the expectation that all of it is common
-
-
-def common_std(sums: PassSums, inverse: FloatArray, creep: FloatArray, slope: FloatArray, usual: float) -> FloatArray:
+def common_std(
+    sums: PassSums,
+    inverse: FloatArray,
+    creep: FloatArray,
+    slope: FloatArray,
+    usual: float,
+    parameters: FrictionParameters,
+) -> FloatArray:
     """Return the std of 1/mu (c,) that what all passes of a place have in common leaves."""
     b, a = creep[sums.vehicle], slope[sums.wheelset]
     _, gg, gq, _ = sums.at(np.full(len(sums.cells), usual))
@@ -284,9 +284,10 @@ def common_std(sums: PassSums, inverse: FloatArray, creep: FloatArray, slope: Fl
     level = sums.by_place(sums.squares[:, 1] - b * sums.squares[:, 2] - a * sums.squares[:, 4])
     by_level = usual * level / (sums.by_place(gq) + TINY)
     # in parts of what one pass leaves, from where places seem to be
-    beyond = (by_level - BEST) / (one_pass + TINY)
-    shown, places = max(-float(np.quantile(beyond, LOWEST)) / BELOW, LEAST_COMMON), len(beyond)
-    return np.asarray(float(np.sqrt((places * shown**2 + PLACES_BEFORE) / (places + PLACES_BEFORE))) * one_pass)
+    beyond = (by_level - parameters.best_inverse) / (one_pass + TINY)
+    by_quantile = -float(np.quantile(beyond, parameters.below_best_share)) / NORMAL_90
+    shown, places, prior = max(by_quantile, parameters.least_common_std), len(beyond), parameters.prior_places
+    return np.asarray(float(np.sqrt((places * shown**2 + prior) / (places + prior))) * one_pass)
 
 
 def _left(sums: PassSums, inverse: FloatArray, b: FloatArray, a: FloatArray) -> FloatArray:
@@ -295,10 +296,6 @@ def _left(sums: PassSums, inverse: FloatArray, b: FloatArray, a: FloatArray) -> 
     ge, gg, gq, gx = sums.at(inverse)
     linear = b * (b * qq - 2.0 * eq + 2.0 * gq) + a * (a * xx - 2.0 * ex + 2.0 * gx) + 2.0 * a * b * qx
     return np.asarray(np.maximum(ee + gg - 2.0 * ge + linear, 0.0))
-
-
-MEDIAN_ERROR = 1.2533  # std of a median over that of a mean
-ROBUST = 1.4826  # std over median absolute deviation
 
 
 def creep_levels(
@@ -329,6 +326,6 @@ def creep_levels(
 def _shrunk(exceeds: FloatArray, by_rails: float, likely: float) -> float:
     """Return the median of what places (p,) exceed the usual by, as far as a b of std ``likely`` is its cause."""
     middle = float(np.median(exceeds))
-    spread = ROBUST * float(np.median(np.abs(exceeds - middle)))
+    spread = STD_PER_MAD * float(np.median(np.abs(exceeds - middle)))
     sampled = MEDIAN_ERROR * spread / np.sqrt(len(exceeds))
     return float(middle * likely**2 / (likely**2 + by_rails**2 + sampled**2))

@@ -5,9 +5,9 @@ derivative, a standard deviation and a time of change, and is zero on average. O
 
 - accelerations, with the noise density on file;
 - that displacements and angles stay near the track: each is zero but for white noise, whose density puts the corner
-  from which the filter believes the accelerations at ``CORNER_WAVELENGTH``;
+  from which the filter believes the accelerations at ``FORCES.corner_wavelength``;
 - that a wheelset rolls nearly where it points: psi - (y' + r0 phi')/V is the lateral creepage with the sign reversed,
-  an Ornstein-Uhlenbeck process of ``CREEPAGE_STD``. No creep law and no friction is assumed.
+  an Ornstein-Uhlenbeck process of ``FORCES.creepage_std``. No creep law and no friction is assumed.
 
 Speeds differ little within a window; the gains are those of its mean speed. A fixed-interval smoother (Rauch, Tung and
 Striebel 1965) with stationary gains goes back over the window.
@@ -35,7 +35,9 @@ from typing import Annotated
 import numpy as np
 import scipy.linalg
 
+from estimation.adhesion.parameters import FORCES
 from estimation.values.arrays import FloatArray, FrozenArrays
+from estimation.values.memory import MEMORY
 from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, VehicleClass, VehicleParameters
 
 AXLE = 4  # states of a wheelset: y, y', psi, psi'
@@ -119,18 +121,6 @@ def _carried(bogie: BogieParameters, rates: FloatArray, force: FloatArray, momen
     rates[above + 3] = -(moment + turned) / bogie.frame_yaw_inertia
 
 
-SPEED_STEP = 0.5  # m/s, to which the mean speed of a window is rounded
-LEAST_DENSITY = 1e-5  # m/s2 or rad/s2 per root hertz: of sensors that have no noise on file
-ROUNDING = 1e-13  # of the scaled states, which keeps the covariance positive
-KEPT = 32  # filters
-# known beforehand: stds of forces in parts of the load on a wheelset, 1 m stands for the arm of the moment
-FORCE_SHARE, MOMENT_SHARE = 0.02, 0.075
-CHANGE_S = 0.02  # of a force
-CREEPAGE_STD, CREEPAGE_CHANGE_S = 1e-4, 0.15
-KINEMATIC_STD = 2e-5  # white, of the angle of rolling
-CORNER_WAVELENGTH = 130.0  # m
-
-
 @dataclass(frozen=True, slots=True)
 class StationaryFilter(FrozenArrays):
     """Matrices of n scaled states, k accelerations and m measurements, those first; ``scale`` makes states SI."""
@@ -152,12 +142,12 @@ class StationaryFilter(FrozenArrays):
 
 def stationary_filter(vehicle_class: VehicleClass, sample_interval_s: float, speed: float) -> StationaryFilter:
     """Return the filter of a class at a speed; a LinAlgError where it has no stationary one."""
-    rounded = max(SPEED_STEP, SPEED_STEP * round(speed / SPEED_STEP))
+    rounded = max(FORCES.speed_step, FORCES.speed_step * round(speed / FORCES.speed_step))
     gear = (vehicle_class.parameters, vehicle_class.bogie, vehicle_class.sensors)
     return _filter(*gear, sample_interval_s, rounded)
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=MEMORY.adhesion_filters)
 def _filter(
     vehicle: VehicleParameters, bogie: BogieParameters | None, sensors: SensorLayout, dt: float, speed: float
 ) -> StationaryFilter:
@@ -166,10 +156,10 @@ def _filter(
     n = len(rates)
     rates, noise = rates * scale / scale[:, None], noise / np.outer(scale, scale)
     transition, process = over_a_sample(rates, noise, dt)
-    process += ROUNDING * np.eye(n)
+    process += FORCES.state_rounding * np.eye(n)
     rows = _measured(gear, n, speed) * scale
     wheelbase = None if bogie is None else bogie.wheelbase
-    variance = _variances(gear, sensors, wheelbase, dt, 2.0 * math.pi * speed / CORNER_WAVELENGTH)
+    variance = _variances(gear, sensors, wheelbase, dt, 2.0 * math.pi * speed / FORCES.corner_wavelength)
     predicted = scipy.linalg.solve_discrete_are(transition.T, rows.T, process, np.diag(variance))
     innovation = rows @ predicted @ rows.T + np.diag(variance)
     gain = np.linalg.solve(innovation, rows @ predicted).T
@@ -201,16 +191,16 @@ def _with_inputs(gear: GearEquations, load: float) -> tuple[FloatArray, FloatArr
     n = own + 2 * forces + gear.axles
     rates, noise, scale = np.zeros((n, n)), np.zeros((n, n)), np.full(n, 1e-3)
     rates[:own, :own], rates[:own, own : own + forces] = gear.rates, gear.inputs
-    corner = 1.0 / CHANGE_S
-    stds = load * np.array([FORCE_SHARE, MOMENT_SHARE] * gear.axles)
+    corner = 1.0 / FORCES.force_change_s
+    stds = load * np.array([FORCES.force_share, FORCES.moment_share] * gear.axles)
     for force, std in enumerate(stds):
         value, slope = own + force, own + forces + force
         rates[value, slope], rates[slope, value], rates[slope, slope] = 1.0, -(corner**2), -2.0 * corner
         noise[slope, slope] = 4.0 * corner**3 * std**2
         scale[value], scale[slope] = 1e3, 1e3 * corner
     for creepage in range(n - gear.axles, n):
-        rates[creepage, creepage] = -1.0 / CREEPAGE_CHANGE_S
-        noise[creepage, creepage] = 2.0 * CREEPAGE_STD**2 / CREEPAGE_CHANGE_S
+        rates[creepage, creepage] = -1.0 / FORCES.creepage_change_s
+        noise[creepage, creepage] = 2.0 * FORCES.creepage_std**2 / FORCES.creepage_change_s
         scale[creepage] = 1e-4
     return rates, noise, scale
 
@@ -239,7 +229,7 @@ def _variances(
             drift.append(on_wheelset[int(turned)])
         else:
             drift.append(above[0] * (math.sqrt(2.0) / wheelbase if turned and wheelbase else 1.0))
-    density = np.maximum([*on_wheelset, *above], LEAST_DENSITY)
-    anchors = np.maximum(drift, LEAST_DENSITY) / corner**2
-    rolling = np.full(gear.axles, KINEMATIC_STD**2)
+    density = np.maximum([*on_wheelset, *above], FORCES.least_noise_density)
+    anchors = np.maximum(drift, FORCES.least_noise_density) / corner**2
+    rolling = np.full(gear.axles, FORCES.rolling_angle_std**2)
     return np.concatenate([density**2 / (2.0 * dt), anchors**2 / (2.0 * dt), rolling])

@@ -21,6 +21,7 @@ from typing import Annotated
 import numpy as np
 
 from estimation.adhesion.creep_forces import ContactForces, force_errors
+from estimation.adhesion.parameters import FORCES
 from estimation.compiled import compiled
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.method import ContactMethod
@@ -31,6 +32,7 @@ from estimation.filters import remove_wander
 from estimation.motion.integration import WindowParameters
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array, runs
 from estimation.values.geometry import WheelsetGeometry
+from estimation.values.memory import MEMORY
 from estimation.values.opinions import CELL_LENGTH, INVERSE, FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
@@ -38,12 +40,10 @@ from estimation.values.track import Correction, TrackSectionRecord
 from estimation.values.windows import Motion, Window
 from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters
 
-DISPLACEMENT = np.arange(-140, 141) * 0.05e-3  # m
-DEPTHS = np.arange(9) * 0.25e-3  # m, of wear
-USUAL_HOLLOW = (3e-3, 40e-3)  # m, centre and half width, of wheels that are in no family
-MOST_MISFIT = 0.15e-3  # m, rms of rL - rR between estimate and the best profile
-FEWEST_NODES = 5
-KEPT = 64
+DISPLACEMENT = np.arange(-FORCES.curve_points, FORCES.curve_points + 1) * FORCES.curve_step
+SHARE_ROUNDS = FORCES.share_rounds
+MOST_UTILISATION = FORCES.most_utilisation
+STEPS = FORCES.excess_steps  # of the table of excesses
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ def contact_angles(
     The curve (b,) is rL - rR over y - d, m; NaN where it is not estimated.
     """
     known = np.isfinite(difference)
-    if known.sum() < FEWEST_NODES:
+    if known.sum() < FORCES.fewest_nodes:
         return Reason(ReasonCode.NO_CREEP_CURVE, f"rL - rR is known at {known.sum()} displacements")
     rail = (section.rail_profile, section.rail_inclination, section.nominal_gauge_m)
     if not (is_design(wheel) and is_design(section.rail_profile)):
@@ -82,26 +82,26 @@ def contact_angles(
     left = expected - difference[known]
     misfit = np.sqrt(((left - left.mean(axis=1, keepdims=True)) ** 2).mean(axis=1))  # a diameter difference is no wear
     best = int(np.argmin(misfit))
-    if misfit[best] > MOST_MISFIT:
+    if misfit[best] > FORCES.most_profile_misfit:
         return Reason(
             ReasonCode.PROFILES_UNKNOWN,
             f"{wheel} on {section.rail_profile}, however worn, miss the estimated rL - rR by"
-            f" {1e3 * misfit[best]:.2f} mm, at most {1e3 * MOST_MISFIT:.2f} mm are wear",
+            f" {1e3 * misfit[best]:.2f} mm, at most {1e3 * FORCES.most_profile_misfit:.2f} mm are wear",
         )
     order = np.argsort(curves[best], kind="stable")
     return ContactAngles(curves[best][order], differences[best][order], sums[best][order], float(misfit[best]))
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=MEMORY.profile_curves)
 def _family(
     wheel: str, rail: str, inclination: float, gauge: float, radius: float
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Return R, D and dL + dR (9, n) of a wheel worn more and more; None where it never touches the rail."""
-    centre, half_width = HOLLOWS.get(wheel, USUAL_HOLLOW)
+    centre, half_width = HOLLOWS.get(wheel, FORCES.usual_hollow_place)
     found = []
     try:
         on = rail_profile(rail)
-        for depth in DEPTHS:
+        for depth in FORCES.wear_depths:
             worn_wheel = worn(wheel_profile(wheel), TreadWear(float(depth), centre, half_width, float(depth)))
             pair = WheelsetOnTrack.symmetric(worn_wheel, on, inclination, gauge, radius=radius)
             table = contact_table(pair, DISPLACEMENT, method=ContactMethod.EN15302, outside="hold")
@@ -113,17 +113,11 @@ def _family(
     return curves, differences, sums
 
 
-SHARE_ROUNDS = 3  # of spin and saturation, each of which decides on the other
-MOST_UTILISATION = 0.98  # near 1 the creepage is beyond all bounds
-LEAST_UTILISATION = 1e-6
-STEPS = 4096  # of the table of excesses
-
-
 @cache
 def excess_table() -> FloatArray:
     """Return linear over true creep force of a wheel less 1 at T/(mu N) from 0 to 0.98 in equal steps, (4097,)."""
     # It is 0 without slip. Between the points it is taken as linear, which misses it by less than 1e-5.
-    t = np.maximum(np.linspace(0.0, MOST_UTILISATION, STEPS + 1), LEAST_UTILISATION)
+    t = np.maximum(np.linspace(0.0, MOST_UTILISATION, STEPS + 1), FORCES.least_utilisation)
     return frozen_array(3.0 * (1.0 - np.cbrt(1.0 - t)) / t - 1.0, (STEPS + 1,), name="excess")
 
 
@@ -170,12 +164,6 @@ def add_saturated(
             sums[3, k] += g * x
 
 
-SUMMED_S = 0.012  # between samples that are summed: creep changes within some 20 ms
-FEWEST_S = 0.4  # of a place
-SHORTEST_S = 5.0  # of a stretch of samples
-TRIMMED_S = 1.0  # at each of its ends
-
-
 @dataclass(frozen=True, slots=True)
 class CreepSignals(FrozenArrays):
     """Creep of one wheelset over one window in the band of its motion, in its own axes; NaN where not known."""
@@ -207,7 +195,8 @@ def creep_signals(
     rows = sign * np.stack([forces.contact, forces.moment, R, forces.roll])
     finite = np.isfinite(rows).all(axis=0) & np.isfinite(motion.displacement)
     passed, valid = np.full(rows.shape, np.nan), np.zeros(len(V), np.bool_)
-    trim, shortest = round(TRIMMED_S / sample_interval_s), round(SHORTEST_S / sample_interval_s)
+    lengths_s = FORCES.trimmed_end_s, FORCES.shortest_stretch_s
+    trim, shortest = (round(length_s / sample_interval_s) for length_s in lengths_s)
     for start, stop in runs(finite):
         if stop - start < shortest:
             continue
@@ -231,11 +220,11 @@ def friction_sums(
     vehicle: VehicleParameters,
     sample_interval_s: float,
 ) -> FrictionSums:
-    """Return the sums of a window by place, over samples that are ``SUMMED_S`` apart or what is next below.
+    """Return the sums of a window by place, over samples some ``FORCES.sum_interval_s`` apart.
 
     The curve has centres of bins of y - d (b,), m, and rL - rR there (b,), m, NaN where it is not known.
     """
-    p, step = vehicle, max(1, int(SUMMED_S / sample_interval_s + 1e-6))
+    p, step = vehicle, max(1, int(FORCES.sum_interval_s / sample_interval_s + 1e-6))
     difference = _on_curve(motion.displacement, *curve) - signals.linear_difference
     known = signals.valid & np.isfinite(difference) & np.isfinite(signals.lateral) & np.isfinite(distance)
     good = np.flatnonzero(known[::step]) * step
@@ -250,7 +239,7 @@ def friction_sums(
     saturated = np.zeros((len(cells), 4, len(INVERSE)))
     forces = np.stack([0.5 * moment / p.half_contact_distance, 0.5 * signals.lateral[good], signals.spin[good]])
     add_saturated(excess_table(), np.stack([e, q, x]), forces, index, 0.5 * p.load / INVERSE, saturated)
-    kept = counts * step * sample_interval_s >= FEWEST_S
+    kept = counts * step * sample_interval_s >= FORCES.least_place_s
     return FrictionSums(cells[kept], counts[kept].astype(float), squares[kept], saturated[kept])
 
 
@@ -262,13 +251,6 @@ def _on_curve(displacement: FloatArray, centres: FloatArray, values: FloatArray)
     cell = np.where(inside, place, 0.0).astype(np.int64)
     part = np.where(inside, place, np.nan) - cell
     return np.asarray((1.0 - part) * values[cell] + part * values[cell + 1])
-
-
-FORCE_ERROR = 0.05  # std of an rms force beside springs and load: what the filter makes of it; docs/results/adhesion.md
-SMOOTHED_ERROR = 0.06  # the same where vibration was taken out, and with it what is as fast
-LATERAL_ERROR = 0.10  # of the lateral creep, whose gravitational part follows from profiles
-USED_QUANTILE = 0.99
-FEWEST_SAMPLES = 500
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,10 +287,10 @@ def window_adhesion(
         None if isinstance(angles, Reason) else angles,
         mounted_reversed=inputs.mounted_reversed,
     )
-    if found.valid.sum() < FEWEST_SAMPLES:
-        few = Reason(ReasonCode.TOO_FEW_USABLE, f"{found.valid.sum()} samples of creep, {FEWEST_SAMPLES} are needed")
-        return refused(*of_window, few)
-    error = float(np.hypot(FORCE_ERROR, SMOOTHED_ERROR)) if forces.smoothed else FORCE_ERROR
+    if found.valid.sum() < FORCES.fewest_samples:
+        text = f"{found.valid.sum()} samples of creep, {FORCES.fewest_samples} are needed"
+        return refused(*of_window, Reason(ReasonCode.TOO_FEW_USABLE, text))
+    error = float(np.hypot(FORCES.force_std, FORCES.smoothed_force_std)) if forces.smoothed else FORCES.force_std
     distance = inputs.correction.at(window.distance)
     of_samples = (found, motion, distance, curve, vehicle, window.sample_interval_s)
     sums = None if isinstance(angles, Reason) else friction_sums(*of_samples)
@@ -338,8 +320,8 @@ def _forces(
     along = 0.5 * found.moment / vehicle_class.parameters.half_contact_distance
     across = np.stack([0.5 * found.lateral + found.spin, 0.5 * found.lateral - found.spin])  # of left and right wheel
     larger = np.hypot(along, across)[:, found.valid].max(axis=0)
-    used = float(np.quantile(larger, USED_QUANTILE)) / (0.5 * vehicle_class.parameters.load)
-    error = math.hypot(LATERAL_ERROR, of_lateral, of_load)
+    used = float(np.quantile(larger, FORCES.saturation_quantile)) / (0.5 * vehicle_class.parameters.load)
+    error = math.hypot(FORCES.lateral_creep_std, of_lateral, of_load)
     return (
         contact_force,
         with_interval(lateral, lateral * error),

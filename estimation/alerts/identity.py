@@ -18,7 +18,8 @@ from itertools import combinations
 
 import numpy as np
 
-from estimation.trend.change_point import BESIDE, Series, StepModel, newest_change
+from estimation.alerts.parameters import FINDINGS
+from estimation.trend.change_point import Series, StepModel, newest_change
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.runs import History, ResultKind, SubjectKind
@@ -34,10 +35,6 @@ EVEN = StepModel(
     least_size=0.03,
     sure=0.95,
 )  # of the rms of the even part, mm
-SAME_SIZE = 0.25  # of the step, by which the size may differ but for its sign
-COMMON = 2.0  # published standard deviations besides, of what all intervals have in common
-KEPT = 0.35  # of the change of the even part, that the odd part may change by: it is its own mirror image
-LEAST_BINS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,15 +58,15 @@ class Mirrored:
     left: float  # standard deviations that the other sign leaves
 
 
-def newest_mirrored(parts: Parts) -> Mirrored | None:
+def newest_mirrored(parts: Parts, model: StepModel) -> Mirrored | None:
     """Return the newest change of sign since the last known event, by a whole history; None where there is none."""
     # From one interval to the next a curve differs by no more than its standard deviations where these are large,
     # although most of what they hold is common to all intervals of a wheelset. Over a history the noise is known: the
     # even parts are one pattern of changing size, which wears slowly, and a wheelset that was turned end for end has
     # the same size with the other sign.
-    bins = np.isfinite(parts.even).mean(axis=0) >= 1.0 - SAME_SIZE
+    bins = np.isfinite(parts.even).mean(axis=0) >= 1.0 - FINDINGS.size_tolerance
     whole = np.flatnonzero(np.isfinite(parts.even[:, bins]).all(axis=1))
-    if bins.sum() < LEAST_BINS or len(whole) < 2 * EVEN.least_points:
+    if bins.sum() < FINDINGS.fewest_mirrored_bins or len(whole) < 2 * EVEN.least_points:
         return None
     even, odd, std = (1e3 * table[whole][:, bins] for table in (parts.even, parts.odd, parts.std))
     even = even - even.mean(axis=1, keepdims=True)  # a band-passed signal leaves the level open
@@ -78,13 +75,15 @@ def newest_mirrored(parts: Parts) -> Mirrored | None:
     found = newest_change(Series(x_km, parts.t_ns[whole], size, error), EVEN)
     if found is None:
         return None
-    sides = slice(max(0, found.last + 1 - BESIDE), found.last + 1), slice(found.first, found.first + BESIDE)
+    beside = model.points_beside
+    sides = slice(max(0, found.last + 1 - beside), found.last + 1), slice(found.first, found.first + beside)
     before, after = (float(np.median(size[side])) for side in sides)
     odd_change, even_change = (_change(table, x_km, sides) for table in (odd, even))
     unlike, common = abs(after + before), float(np.median(error))
-    if odd_change > KEPT * even_change or unlike > SAME_SIZE * abs(found.size) + COMMON * common:
+    most_unlike = FINDINGS.size_tolerance * abs(found.size) + FINDINGS.common_stds * common
+    if odd_change > FINDINGS.mirrored_odd_share * even_change or unlike > most_unlike:
         return None
-    left = unlike / float(np.hypot(found.std, COMMON * common))
+    left = unlike / float(np.hypot(found.std, FINDINGS.common_stds * common))
     return Mirrored(int(whole[found.last]), int(whole[found.first]), abs(found.size) / found.std, left)
 
 
@@ -262,7 +261,8 @@ def _reversed_in(seen: Sequence[Observation], p: IdentityParameters) -> Identity
             even[:, near],
             (whole - even)[:, near],
             np.array([one.std[near] for one in evens]),
-        )
+        ),
+        EVEN,
     )
     if found is None:
         return None

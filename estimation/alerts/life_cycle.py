@@ -18,22 +18,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated
 
+from estimation.alerts.parameters import FINDINGS
 from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError, InputError
 from estimation.trend.now import SCALE
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition
 from estimation.values.fields import JsonValue, Served
+from estimation.values.units import DAY_NS
 
 DELAYS = "delays"
 RUN_FROM = "run_from_km"  # among them: mileage of the first of the findings on end that are counted
-DAY_NS = 86_400_000_000_000
 EVERY_KILOMETRE = (
     DELAYS,
     "distance_to_limit_km",
     "date_of_limit_ns",
     "probability_over_limit",
 )  # change, which is no news
-PROBABILITY_BANDS = (0.05, 0.5, 0.8, 0.95, 0.99)
 SEVERITY_RANK = {severity: rank for rank, severity in enumerate(Severity)}
 
 
@@ -207,7 +207,7 @@ def _changed(before: Alert, after: Alert, events: tuple[AlertEventKind, ...]) ->
 
 
 def _material(alert: Alert) -> tuple[object, ...]:
-    band = None if alert.probability is None else bisect_right(PROBABILITY_BANDS, alert.probability)
+    band = None if alert.probability is None else bisect_right(FINDINGS.probability_bands, alert.probability)
     evidence = {key: value for key, value in alert.evidence.items() if key not in EVERY_KILOMETRE}
     limits = (alert.raise_limit, alert.clear_limit)
     over = SCALE.over(_number(alert.evidence.get("probability_over_limit"), 0.0))

@@ -18,7 +18,6 @@ from typing import Annotated, TypeVar
 from annotated_types import Interval
 
 from estimation.alerts.life_cycle import (
-    DAY_NS,
     DELAYS,
     SEVERITY_RANK,
     acknowledgement_ends_ns,
@@ -44,6 +43,7 @@ from estimation.values.fields import JsonValue, Served
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.trend import BEFORE, UNREGISTERED_CHANGE
+from estimation.values.units import DAY_NS, HOUR_NS
 
 SHIPPED = "shipped"  # name of the rules where no file changes them
 DIGEST_LETTERS = 12
@@ -77,16 +77,13 @@ class AlarmFloodRule:
 
 @dataclass(frozen=True, slots=True)
 class RuleBook:
-    """One rule of every type; ``RuleBook()`` holds the shipped defaults.
-
-    Attributes:
-        scoped: The books of fleets and classes, by (fleet, class) with None for any other: of every pair of a fleet and
-            a class that are named, so that one look-up decides. They have no scopes themselves.
-    """
+    """One rule of every type; ``RuleBook()`` holds the shipped defaults."""
 
     rules: tuple[AlertRule, ...] = field(default_factory=lambda: tuple(rule() for rule in ALERT_RULES))
     alarm_flood: AlarmFloodRule = field(default_factory=AlarmFloodRule)
     name: str = ""
+    # the books of fleets and classes, by (fleet, class) with None for any other: of every pair of a fleet and a class
+    # that are named, so that one look-up decides. They have no scopes themselves
     scoped: Mapping[tuple[str | None, str | None], RuleBook] = field(default_factory=dict)
 
     @property
@@ -196,7 +193,6 @@ def next_change_ns(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> int | N
     return min((at for at in moments if at >= now_ns), default=None)
 
 
-HOUR_NS = 3_600_000_000_000
 MOST_NAMED = 5  # wheelsets in the evidence
 
 

@@ -18,15 +18,14 @@ import numpy.typing as npt
 from estimation.compiled import compiled
 from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.method import ContactMethod
+from estimation.contact.parameters import PROFILES
 from estimation.contact.smoothed_profile import SmoothedProfile
 from estimation.errors import ContactError, ParameterError
 from estimation.values.arrays import FloatArray
 
-_ANGLES = 240  # midpoints of the substitution y = middle + amplitude sin(angle)
+_ANGLES, _HALVINGS, _REST = PROFILES.conicity_angles, PROFILES.halvings, PROFILES.rest_share
 _PLACES = [math.pi * ((j + 0.5) / _ANGLES - 0.5) for j in range(_ANGLES)]
 _SINES, _COSINES = np.array([math.sin(x) for x in _PLACES]), np.array([math.cos(x) for x in _PLACES])
-_HALVINGS = 60
-_REST = 1e-9  # share by which S is below its running maximum where a wheelset has come to rest before
 
 
 def equivalent_conicity(
@@ -229,11 +228,6 @@ def _from_travel(middle, amplitude, energy, points, values, potential):  # type:
     return (_ANGLES / total) ** 2
 
 
-DRAWS = 48
-FEWEST = 0.8  # share of the draws that must cover an amplitude
-_SEED = 20_15302
-
-
 class MeasuredShapes(NamedTuple):
     """The four profiles of a wheelset on a track with their uncertainty; one that is used twice errs alike."""
 
@@ -263,7 +257,7 @@ def conicity_std(
     amplitudes: npt.ArrayLike,
     *,
     method: ContactMethod = ContactMethod.EN15302,
-    draws: int = DRAWS,
+    draws: int = PROFILES.conicity_draws,
 ) -> FloatArray:
     """Return the standard deviation (k,) of tan(gamma_e) that follows from the noise of the profiles.
 
@@ -277,7 +271,7 @@ def conicity_std(
     wanted = np.array(amplitudes, dtype=np.float64, ndmin=1)
     if shapes.exact:
         return np.zeros(len(wanted))
-    random = np.random.default_rng(_SEED)
+    random = np.random.default_rng(PROFILES.draw_seed)
     expected = _conicity(wheelset, lateral_displacement, wanted, method)
     values = np.full((draws, len(wanted)), np.nan)
     for row in range(draws):
@@ -288,7 +282,7 @@ def conicity_std(
             continue
     covered = np.isfinite(values)
     squares = np.where(covered, (values - expected) ** 2, 0.0).sum(axis=0) / np.maximum(covered.sum(axis=0), 1)
-    return np.where(covered.mean(axis=0) >= FEWEST, np.sqrt(squares), np.nan)
+    return np.where(covered.mean(axis=0) >= PROFILES.least_draw_share, np.sqrt(squares), np.nan)
 
 
 def _conicity(

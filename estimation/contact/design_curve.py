@@ -17,23 +17,12 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial import cKDTree
 
+from estimation.contact.parameters import PROFILES
 from estimation.contact.profiles import HEIGHTS, THICKNESSES, ProfileKind, rail_profile, wheel_profile
 from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS, Segment
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
+from estimation.values.units import MILLIMETRE
 
-FARTHEST = 0.3  # mm, median distance of the points, beyond which no design is tried
-SIGNIFICANT = 5.0  # standard deviations of a mean distance that noise does not explain
-WINDOWS = (2.0, 6.0, 20.0)  # mm of arc, over which distances are averaged
-INNER_WHEEL = (-43.0, 50.0)  # mm from the tread datum: flange face to the outer tread
-INNER_RAIL = 13.0  # mm below the top
-REACHES = (3.0, 1.0, 0.3)  # mm, beyond which a distance counts little, in the rounds of the search
-ROUNDS = 5  # with each reach
-FEWEST_INSIDE = 100  # points
-POINTS = 300  # that place a design
-FINALISTS = 3
-THICKNESS_STEP = 0.5  # mm
-HEAD_DEPTH = 5.0  # mm below its top, where the middle of a head is taken
-_MILLIMETRE = 1e-3
 _TREADS = ("S1002", "1/40")
 
 _Movement = tuple[float, float, float]  # shift across and down (mm) after a turn about the origin (rad)
@@ -64,16 +53,17 @@ class DesignCurve(FrozenArrays):
 
 def nearest_design(kind: ProfileKind, points: FloatArray) -> DesignCurve | None:
     """Return the design nearest to measured points (n, 2), mm, moved to them; None if they are of no known one."""
-    shown = points[np.unique(np.linspace(0, len(points) - 1, POINTS).astype(np.int64))]
+    shown = points[np.unique(np.linspace(0, len(points) - 1, PROFILES.placing_points).astype(np.int64))]
     found = []
     for name in _names(kind, shown):
         start = _start(_design(kind, name)[0], shown) if kind == "rail" else (0.0, 0.0, 0.0)
-        movement = _moved(kind, name, start, shown, REACHES[:1])
+        movement = _moved(kind, name, start, shown, PROFILES.search_reaches[:1])
         found.append((_distance(kind, name, movement, shown), name, movement))
-    finals = [(name, _moved(kind, name, start, shown, REACHES[1:])) for _, name, start in sorted(found)[:FINALISTS]]
+    best, reaches = sorted(found)[: PROFILES.finalist_designs], PROFILES.search_reaches[1:]
+    finals = [(name, _moved(kind, name, start, shown, reaches)) for _, name, start in best]
     name, movement = min(finals, key=lambda final: _distance(kind, final[0], final[1], shown))
     design = _design(kind, name)[0]
-    if float(np.median(np.abs(_across(kind, name, movement, shown)[0]))) > FARTHEST:
+    if float(np.median(np.abs(_across(kind, name, movement, shown)[0]))) > PROFILES.most_design_distance:
         return None
     turn = _rotation(movement[2])
     return DesignCurve(
@@ -90,18 +80,18 @@ def explains(design: DesignCurve, points: FloatArray, noise: FloatArray, length:
     at, tangent = design.at(arc)
     across = ((points - at) * np.column_stack([-tangent[:, 1], tangent[:, 0]])).sum(axis=1)
     inside = (arc >= design.inner[0]) & (arc <= design.inner[1])
-    if np.count_nonzero(inside) < FEWEST_INSIDE:
+    if np.count_nonzero(inside) < PROFILES.fewest_design_points:
         return False
     across = across[inside] / noise[inside]
     spacing = float(np.median(np.diff(np.sort(arc[inside]))))
     alike = math.exp(-spacing / length) if length > 0.0 else 0.0
-    for window in WINDOWS:
+    for window in PROFILES.averaging_lengths:
         count = max(1, round(window / spacing))
         if count >= len(across):
             break
         mean = np.convolve(across, np.full(count, 1.0 / count), "valid")
         std = math.sqrt((1.0 + alike) / (1.0 - alike) / count)
-        if float(np.abs(mean).max()) > SIGNIFICANT * std:
+        if float(np.abs(mean).max()) > PROFILES.significant_stds * std:
             return False
     return True
 
@@ -112,7 +102,7 @@ def _names(kind: ProfileKind, points: FloatArray) -> list[str]:
     height = min(
         np.arange(HEIGHTS[0], HEIGHTS[1] + 0.1, 2.0), key=lambda value: abs(float(value) - float(points[:, 1].max()))
     )
-    thicknesses = np.arange(THICKNESSES[0], THICKNESSES[1] + 0.1, THICKNESS_STEP)
+    thicknesses = np.arange(THICKNESSES[0], THICKNESSES[1] + 0.1, PROFILES.thickness_step)
     family = [f"EN13715-{tread}/h{height:g}/e{thickness:g}" for tread in _TREADS for thickness in thicknesses]
     return [*(name for name in _different(WHEEL_DEFINITIONS) if name != "S1002"), *family]  # S1002 is of the family
 
@@ -124,11 +114,12 @@ def _different(definitions: Mapping[str, tuple[Segment, ...]]) -> list[str]:
 @cache
 def _design(kind: ProfileKind, name: str) -> tuple[DesignCurve, cKDTree]:
     profile = wheel_profile(name) if kind == "wheel" else rail_profile(name)
-    points = np.column_stack([profile.y, profile.z]) / _MILLIMETRE
+    points = np.column_stack([profile.y, profile.z]) / MILLIMETRE
     tangent = np.column_stack([np.ones(len(profile.y)), profile.slope]) / np.hypot(1.0, profile.slope)[:, np.newaxis]
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     y, z = points.T
-    inside = (y >= INNER_WHEEL[0]) & (y <= INNER_WHEEL[1]) if kind == "wheel" else z - z.min() <= INNER_RAIL
+    begin, end = PROFILES.design_wheel_range
+    inside = (y >= begin) & (y <= end) if kind == "wheel" else z - z.min() <= PROFILES.design_rail_depth
     inner = float(arc[inside][0]), float(arc[inside][-1])
     return DesignCurve(name, arc, points, tangent, inner), cKDTree(points)
 
@@ -136,7 +127,7 @@ def _design(kind: ProfileKind, name: str) -> tuple[DesignCurve, cKDTree]:
 def _start(design: DesignCurve, points: FloatArray) -> _Movement:
     middles = []
     for head in (design.points, points):
-        upper = head[head[:, 1] < head[:, 1].min() + HEAD_DEPTH, 0]
+        upper = head[head[:, 1] < head[:, 1].min() + PROFILES.head_depth, 0]
         middles.append(0.5 * float(upper.min() + upper.max()))
     return middles[1] - middles[0], float(points[:, 1].min() - design.points[:, 1].min()), 0.0
 
@@ -145,7 +136,7 @@ def _moved(
     kind: ProfileKind, name: str, movement: _Movement, points: FloatArray, reaches: tuple[float, ...]
 ) -> _Movement:
     for reach in reaches:
-        for _ in range(ROUNDS):
+        for _ in range(PROFILES.search_rounds):
             across, at, normal = _across(kind, name, movement, points)
             # a small turn moves the foot at right angles to its arm
             matrix = np.column_stack([normal, at[:, 0] * normal[:, 1] - at[:, 1] * normal[:, 0]])
@@ -185,4 +176,4 @@ def _foot(design: DesignCurve, tree: cKDTree, points: FloatArray) -> tuple[Float
 
 def _distance(kind: ProfileKind, name: str, movement: _Movement, points: FloatArray) -> float:
     across = np.abs(_across(kind, name, movement, points)[0])
-    return float(np.minimum(across, REACHES[-1]).mean())
+    return float(np.minimum(across, PROFILES.search_reaches[-1]).mean())

@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from estimation.contact import kernels
 from estimation.contact.method import ContactMethod
-from estimation.contact.profiles import TREAD_DATUM, Profile
+from estimation.contact.parameters import PROFILES
+from estimation.contact.profiles import Profile
 from estimation.contact.surfaces import Surface, rail_surface, wheel_surface
 from estimation.errors import ContactError
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
@@ -69,16 +70,12 @@ class ContactTable(FrozenArrays):
         return self.contact_angle_left + self.contact_angle_right
 
 
-FLANGE_BACK_DISTANCE = 1.360  # usual distance between the flange backs of a wheelset for 1435 mm, m
-
 _REASONS = {
     kernels.NO_OVERLAP: "a wheel is not above its rail",
     kernels.FLANGE_TIP: "a wheel has climbed onto the tip of its flange",
     kernels.OUTER_EDGE: "a wheel rests on its outer edge",
     kernels.NO_ROLL: "no roll brings both wheels onto the rails",
 }
-
-
 _PlainSurface = tuple[float, float, FloatArray, FloatArray]
 _Sides = tuple[_PlainSurface, _PlainSurface]
 Setting = tuple[bool, float, tuple[float, float], _Sides, _Sides]
@@ -95,9 +92,9 @@ class WheelsetOnTrack:
     right_rail: Profile
     inclination: float  # tangent; 0 for rails given in track axes
     gauge: float  # m, nominal, measured within 14 mm below the top of the rails
-    left_radius: float = 0.45  # m, at the tread datum
-    right_radius: float = 0.45
-    flange_back_distance: float = FLANGE_BACK_DISTANCE  # m
+    left_radius: float = PROFILES.usual_radius  # m, at the tread datum
+    right_radius: float = PROFILES.usual_radius
+    flange_back_distance: float = PROFILES.flange_back_distance  # m
 
     def __post_init__(self) -> None:
         for field in ("left_wheel", "right_wheel", "left_rail", "right_rail"):
@@ -113,7 +110,7 @@ class WheelsetOnTrack:
 
     @staticmethod
     def symmetric(
-        wheel: Profile, rail: Profile, inclination: float, gauge: float, *, radius: float = 0.45
+        wheel: Profile, rail: Profile, inclination: float, gauge: float, *, radius: float = PROFILES.usual_radius
     ) -> WheelsetOnTrack:
         """Return the wheelset with the same wheel, rail and radius on both sides."""
         return WheelsetOnTrack(wheel, wheel, rail, rail, inclination, gauge, radius, radius)
@@ -190,7 +187,7 @@ def search_setting(wheelset: WheelsetOnTrack, method: ContactMethod) -> Setting:
     wheels = (_plain(wheel_surface(wheelset.left_wheel)), _plain(wheel_surface(wheelset.right_wheel)))
     left_rail = _plain(rail_surface(wheelset.left_rail, wheelset.inclination, wheelset.gauge))
     right_rail = _plain(rail_surface(wheelset.right_rail, wheelset.inclination, wheelset.gauge))
-    half = wheelset.flange_back_distance / 2.0 + TREAD_DATUM
+    half = wheelset.flange_back_distance / 2.0 + PROFILES.tread_datum
     radii = (wheelset.left_radius, wheelset.right_radius)
     return method is ContactMethod.RIGID, half, radii, wheels, (left_rail, right_rail)
 
@@ -236,7 +233,7 @@ def _held(values: FloatArray, exists: BoolArray) -> FloatArray:
     return held
 
 
-_HOLD = 1.5 * kernels.CURVE_INTERVAL  # m, neighbours on both sides of a jump are no farther apart
+_HOLD = PROFILES.jump_neighbours * kernels.CURVE_INTERVAL  # m, neighbours on both sides of a jump are no farther apart
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,18 +18,19 @@ import math
 import numpy as np
 
 from estimation.compiled import compiled
+from estimation.contact.parameters import PROFILES
 
-STRIDE = 10  # the first scan looks at every tenth point of the wheel's grid
-RIVAL_MARGIN = 2e-5  # m, scan minima within this of the best are refined
-ROLL_TOLERANCE = 1e-11  # m, difference of the two gaps
-SLOPE_TOLERANCE = 1e-10  # of the gap, where it is smallest
-POSITION_TOLERANCE = 1e-10  # m, of the contact
-ROLL_LIMIT = 0.1  # rad
+STRIDE = PROFILES.scan_stride
+RIVAL_MARGIN = PROFILES.rival_gap
+ROLL_TOLERANCE = PROFILES.roll_tolerance
+SLOPE_TOLERANCE = PROFILES.slope_tolerance
+POSITION_TOLERANCE = PROFILES.position_tolerance
+ROLL_LIMIT = PROFILES.roll_limit
+JUMP_DISTANCE = PROFILES.jump_distance
+JUMP_INTERVAL = PROFILES.jump_interval
+CURVE_TOLERANCE = PROFILES.curve_tolerance
+CURVE_INTERVAL = PROFILES.curve_interval
 OUTSIDE = 1.0e3  # m, gap where there is no rail
-JUMP_DISTANCE = 4e-4  # m, a contact has jumped that moves this far ...
-JUMP_INTERVAL = 4e-6  # m, ... while the wheelset moves no farther than this
-CURVE_TOLERANCE = 2e-7  # m, of the radius difference half-way between two points of a refined curve
-CURVE_INTERVAL = 1e-9  # m, a jump of a refined curve is placed to within this
 _LEVELS = 64  # more than the halvings from any grid step to the interval
 
 FOUND, NO_OVERLAP, FLANGE_TIP, OUTER_EDGE, NO_ROLL = 0, 1, 2, 3, 4  # outcome of a search: why there is no contact point

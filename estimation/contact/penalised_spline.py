@@ -18,37 +18,18 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.optimize import nnls
 
 from estimation.contact.design_curve import DesignCurve
+from estimation.contact.parameters import PROFILES
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
+from estimation.values.units import STD_PER_MAD
 
 DEGREE = 5
 ORDER = 3  # of the penalised derivative
-KNOT_STEP = 0.5  # mm of arc, unless points are farther apart
-NEIGHBOURS = 4  # to either side, over which the local variance is averaged
-NOISE_ROUNDS = 4
-NOISE_DISTANCES = (0.0, 0.2, 0.4, 0.8)  # mm of arc, of the differences that show whether neighbours share noise
-CORRELATION_LENGTHS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0)  # mm
-SIGNIFICANT_CORRELATION = 0.15  # squares of logarithms by which a correlation must explain the differences better
-LEAST_SHARE = 1e-3  # of the variance that a difference keeps
-FEWEST_SPANS = 12  # a difference spans 4 steps
-FARTHEST_ALIKE = 2.0  # mm, beyond, noise is independent
-MOST_ALIKE = 0.98
 BAND = DEGREE + 5  # of the normal equations; noise that is alike links points up to 2 mm apart
 _PRODUCTS = tuple(2.0 * product / 4.375 for product in (-3.5, 1.75, -0.5, 0.0625))
 """Of the coefficients 1/4, -1, 3/2, -1, 1/4 of the differences with themselves, 1 to 4 steps on."""
 
-LEAST_NOISE = 0.05  # of the larger variance, height or lateral
-FIRST_ROUNDS, ROUNDS = 8, 15
-UNKNOWN_PENALTY = 1.3
-"""Factor on the std for what Wahba's model leaves out: the penalty is an estimate too, and joints of arcs are rounded.
-The bench of contact geometry (noise on every design profile) shows what it covers.
-"""
 
-FIRST_THIRD_DERIVATIVE = 1e-2  # 1/mm^2, where the search for the local variance begins
-LEAST_THIRD_DERIVATIVE = 1e-5  # 1/mm^2
-UNSEEN = 1e-2  # 1/mm^3, of the noise: the third derivative that a difference from a design may have unseen
-LEAST_DETERMINED = 1e-3
-LEVELS = tuple(float(10.0**exponent) for exponent in np.arange(-2.0, 2.01, 0.25))
-_TINY = 1e-20
+_TINY = PROFILES.tiny_variance
 _MIDDLE = 0.5  # of a chord between two neighbours
 
 
@@ -103,7 +84,7 @@ def fit_spline(
     weights = weight.copy()
     rough, length = correlated_noise(points)
     noise = noise_std**2 if noise_std is not None else max(rough**2, _TINY)
-    for rounds in (FIRST_ROUNDS, ROUNDS):
+    for rounds in (PROFILES.first_fit_rounds, PROFILES.fit_rounds):
         knots, basis = _basis(arc, spacing)
         rows = _whitened(points - design.at(arc)[0] if design else points, basis, weights, arc, length)
         fit = _evidence_fit(rows, noise, rounds, known=noise_std is not None, pooled=_on_design(design, knots))
@@ -112,11 +93,12 @@ def fit_spline(
             weights = weight * _relative_precision(tangent, residual, weight)
     knots, basis = _basis(arc, spacing)
     rows = _whitened(points - design.at(arc)[0] if design else points, basis, weights, arc, length)
-    fit = _evidence_fit(rows, fit.noise, ROUNDS, known=noise_std is not None, pooled=_on_design(design, knots))
+    pooled = _on_design(design, knots)
+    fit = _evidence_fit(rows, fit.noise, PROFILES.fit_rounds, known=noise_std is not None, pooled=pooled)
     if design is None:
         fit = _levelled(rows, fit, known=noise_std is not None)
     _, residual, _ = _projected(points, arc, knots, fit.coefficients, design)
-    root = np.asarray(np.linalg.cholesky(fit.covariance * UNKNOWN_PENALTY**2), dtype=np.float64)
+    root = np.asarray(np.linalg.cholesky(fit.covariance * PROFILES.penalty_widening**2), dtype=np.float64)
     return PenalisedSpline(fit.coefficients, knots, root, float(np.sqrt(fit.noise)), residual, design)
 
 
@@ -135,20 +117,20 @@ def correlated_noise(points: FloatArray) -> tuple[float, float]:
     with the distance. The correlation is taken as exponential.
     """
     spacing = float(np.median(np.hypot(*np.diff(points, axis=0).T)))
-    steps = sorted({max(1, round(distance / max(spacing, _TINY))) for distance in NOISE_DISTANCES})
-    steps = [step for step in steps if step == 1 or FEWEST_SPANS * step < len(points)]
+    steps = sorted({max(1, round(distance / max(spacing, _TINY))) for distance in PROFILES.noise_distances})
+    steps = [step for step in steps if step == 1 or PROFILES.fewest_difference_spans * step < len(points)]
     found = np.log([max(rough_noise(points, step) ** 2, _TINY) for step in steps])
     best = (np.inf, 0.0, 0.0)
     white = np.inf
-    for length in CORRELATION_LENGTHS:
+    for length in PROFILES.correlation_lengths:
         alike = np.exp(-np.outer(np.array(steps) * spacing, np.arange(1, 5)) / length) if length else np.zeros((1, 4))
-        expected = np.log(np.maximum(1.0 + alike @ np.array(_PRODUCTS), LEAST_SHARE))
+        expected = np.log(np.maximum(1.0 + alike @ np.array(_PRODUCTS), PROFILES.least_variance_share))
         level = float(np.mean(found - expected))
         cost = float(((found - expected - level) ** 2).sum())
         white = cost if length == 0.0 else white
         best = min(best, (cost, length, level))
     cost, length, level = best
-    if white - cost < SIGNIFICANT_CORRELATION:
+    if white - cost < PROFILES.significant_correlation:
         return float(np.exp(0.5 * np.mean(found))), 0.0
     return float(np.exp(0.5 * level)), length
 
@@ -164,7 +146,7 @@ def rough_noise(points: FloatArray, step: int = 1) -> float:
     height = (offset[:, 1] * chord[:, 0] - offset[:, 0] * chord[:, 1]) / length
     bend = np.where(np.abs(share - _MIDDLE) < _MIDDLE, height, 0.0)
     rest = bend[step:-step] - 0.5 * (bend[: -2 * step] + bend[2 * step :])
-    return float(1.4826 * np.median(np.abs(rest)) / np.sqrt(4.375))
+    return float(STD_PER_MAD * np.median(np.abs(rest)) / np.sqrt(4.375))
 
 
 def _first_arc(points: FloatArray) -> tuple[FloatArray, float]:
@@ -181,7 +163,7 @@ def _first_arc(points: FloatArray) -> tuple[FloatArray, float]:
 
 def _basis(arc: FloatArray, spacing: float) -> tuple[FloatArray, FloatArray]:
     first, last = float(arc.min()), float(arc.max())
-    count = max(2 * DEGREE, round((last - first) / max(KNOT_STEP, spacing)))
+    count = max(2 * DEGREE, round((last - first) / max(PROFILES.knot_step, spacing)))
     knots: FloatArray = first + (last - first) / count * np.arange(-DEGREE, count + DEGREE + 1, dtype=np.float64)
     inside = np.clip(arc, knots[DEGREE], knots[-DEGREE - 1])
     return knots, np.asarray(BSpline.design_matrix(inside, knots, DEGREE).toarray())
@@ -198,7 +180,8 @@ def _whitened(points: FloatArray, basis: FloatArray, weights: FloatArray, arc: F
     if length == 0.0:
         return design, target
     gap = np.abs(np.diff(arc[kept]))
-    alike = np.where(gap > FARTHEST_ALIKE, 0.0, np.minimum(np.exp(-gap / length), MOST_ALIKE))[:, np.newaxis]
+    correlation = np.minimum(np.exp(-gap / length), PROFILES.most_correlation)
+    alike = np.where(gap > PROFILES.correlated_reach, 0.0, correlation)[:, np.newaxis]
     own = np.sqrt(1.0 - alike**2)
     return (
         np.concatenate([design[:1], (design[1:] - alike * design[:-1]) / own]),
@@ -208,18 +191,18 @@ def _whitened(points: FloatArray, basis: FloatArray, weights: FloatArray, arc: F
 
 def _evidence_fit(rows: _Rows, noise: float, rounds: int, *, known: bool, pooled: BoolArray | None = None) -> _Fit:
     """Return the fit whose variance of third differences, local or ``pooled``, explains points best (MacKay)."""
-    local = np.full(rows[0].shape[1] - ORDER, (FIRST_THIRD_DERIVATIVE * KNOT_STEP**ORDER) ** 2)
-    least = (LEAST_THIRD_DERIVATIVE * KNOT_STEP**ORDER) ** 2
+    local = np.full(rows[0].shape[1] - ORDER, (PROFILES.first_third_derivative * PROFILES.knot_step**ORDER) ** 2)
+    least = (PROFILES.least_third_derivative * PROFILES.knot_step**ORDER) ** 2
     normal = rows[0].T @ rows[0], rows[0].T @ rows[1]
     fit = _posterior(normal, noise, local)
     for _ in range(rounds):
         third = np.diff(fit.coefficients, n=ORDER, axis=0)
         variance = np.diff(np.diff(fit.covariance, n=ORDER, axis=0), n=ORDER, axis=1).diagonal()
-        determined = np.clip(1.0 - variance / fit.local, LEAST_DETERMINED, 1.0)
+        determined = np.clip(1.0 - variance / fit.local, PROFILES.least_determined_share, 1.0)
         squares = (third**2).sum(axis=1)
         local = np.maximum(_over_neighbours(squares) / _over_neighbours(determined), least)
         if pooled is not None:
-            unseen = (UNSEEN * np.sqrt(noise) * KNOT_STEP**ORDER) ** 2
+            unseen = (PROFILES.unseen_third_derivative * np.sqrt(noise) * PROFILES.knot_step**ORDER) ** 2
             local[pooled] = max(float(squares[pooled].sum() / determined[pooled].sum()), unseen)
         noise = fit.noise if known else _noise(rows, fit)
         fit = _posterior(normal, noise, local)
@@ -227,8 +210,9 @@ def _evidence_fit(rows: _Rows, noise: float, rounds: int, *, known: bool, pooled
 
 
 def _over_neighbours(values: FloatArray) -> FloatArray:
-    kernel = np.bartlett(2 * NEIGHBOURS + 3)[1:-1]
-    return np.asarray(np.convolve(np.pad(values, NEIGHBOURS, mode="edge"), kernel / kernel.sum(), "valid"))
+    reach = PROFILES.variance_neighbours
+    kernel = np.bartlett(2 * reach + 3)[1:-1]
+    return np.asarray(np.convolve(np.pad(values, reach, mode="edge"), kernel / kernel.sum(), "valid"))
 
 
 def _levelled(rows: _Rows, fit: _Fit, *, known: bool) -> _Fit:
@@ -236,7 +220,7 @@ def _levelled(rows: _Rows, fit: _Fit, *, known: bool) -> _Fit:
     n = float(len(design))
     normal = design.T @ design, design.T @ target
     best, lowest = fit, np.inf
-    for level in LEVELS:
+    for level in PROFILES.levels:
         tried = _posterior(normal, fit.noise, fit.local * level)
         squares = float(((target - design @ tried.coefficients) ** 2).sum())
         score = squares / n + 2.0 * fit.noise * tried.freedom / n if known else n * squares / (n - tried.freedom) ** 2
@@ -291,9 +275,9 @@ def _relative_precision(tangent: FloatArray, residual: FloatArray, weight: Float
     """Return weights (n,), geometric mean 1: noise has one variance in height (cos^2) and one laterally (sin^2)."""
     share = tangent**2 / np.maximum((tangent**2).sum(axis=1), _TINY)[:, np.newaxis]  # cos^2, sin^2
     variance = np.full(len(residual), max(float((weight @ residual**2) / weight.sum()), _TINY))
-    for _ in range(NOISE_ROUNDS):
+    for _ in range(PROFILES.noise_rounds):
         scaled = np.sqrt(weight) / variance
         found, _ = nnls(share * scaled[:, np.newaxis], residual**2 * scaled)
-        found = np.maximum(found, max(LEAST_NOISE * float(found.max()), _TINY))
+        found = np.maximum(found, max(PROFILES.least_noise_share * float(found.max()), _TINY))
         variance = share @ found
     return np.asarray(np.exp(np.log(variance).mean()) / variance)

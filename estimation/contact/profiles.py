@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
+from estimation.contact.parameters import PROFILES
 from estimation.contact.wheel_definitions import (
     RAIL_DEFINITIONS,
     S1002_THROAT,
@@ -28,7 +29,8 @@ from estimation.contact.wheel_definitions import (
 )
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.fields import IN_MM, Served
+from estimation.values.fields import Served
+from estimation.values.units import IN_MM, MILLIMETRE
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
@@ -173,15 +175,6 @@ class MeasuredProfiles:
 
 ProfileKind = Literal["wheel", "rail"]
 
-TREAD_DATUM = 0.070  # distance of a wheel's tread datum from its flange back, m
-
-GAUGE_DEPTH = 0.014  # depth below the top of the rail down to which the gauge is measured, m (EN 13848-1)
-
-SAMPLING_STEP_MM = 0.05  # distance between the points of an analytic profile, along its surface
-
-_FEWEST_POINTS = 4
-_MILLIMETRE = 1e-3
-
 
 @dataclass(frozen=True, slots=True)
 class Profile:
@@ -204,8 +197,9 @@ class Profile:
             bad = np.flatnonzero(~np.isfinite(values))
             if len(bad):
                 raise ProfileError(f"profile {self.name!r}: point {bad[0] + 1} is not a finite number", field=field)
-        if n < _FEWEST_POINTS:
-            raise ProfileError(f"profile {self.name!r}: {n} points, at least {_FEWEST_POINTS} are needed", field="y")
+        if n < PROFILES.fewest_points:
+            few = f"{n} points, at least {PROFILES.fewest_points} are needed"
+            raise ProfileError(f"profile {self.name!r}: {few}", field="y")
         backwards = np.flatnonzero(np.diff(self.y) <= 0)
         if len(backwards):
             raise ProfileError(f"profile {self.name!r}: y does not increase at point {backwards[0] + 2}", field="y")
@@ -259,8 +253,8 @@ def _named(kind: ProfileKind, name: str, definitions: Mapping[str, tuple[Segment
 
 
 def _sampled(kind: ProfileKind, name: str, segments: tuple[Segment, ...]) -> Profile:
-    y, z, slope = sample(segments, SAMPLING_STEP_MM)
-    return Profile(kind, name, y * _MILLIMETRE, z * _MILLIMETRE, slope)
+    y, z, slope = sample(segments, PROFILES.sampling_step_mm)
+    return Profile(kind, name, y * MILLIMETRE, z * MILLIMETRE, slope)
 
 
 def _plain(name: str) -> str:

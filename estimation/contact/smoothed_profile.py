@@ -8,10 +8,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from estimation.contact.design_curve import DesignCurve, explains, nearest_design
+from estimation.contact.parameters import PROFILES
 from estimation.contact.penalised_spline import DEGREE, PenalisedSpline, correlated_noise, fit_spline
 from estimation.contact.profiles import Profile, ProfileKind
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray, IntArray
+from estimation.values.units import MILLIMETRE, STD_PER_MAD
 
 
 def profile_from_points(kind: ProfileKind, name: str, y: FloatArray, z: FloatArray) -> Profile:
@@ -20,36 +22,20 @@ def profile_from_points(kind: ProfileKind, name: str, y: FloatArray, z: FloatArr
     return Profile(kind, name, checked.y, checked.z, CubicSpline(checked.y, checked.z)(checked.y, nu=1))
 
 
-MOST_POINTS = 4000  # one in 0.05 mm of a wheel's arc: the spacing at which smoothed profiles are given
-
-
 def thinned(points: FloatArray) -> IntArray:
-    """Return the indices of at most `MOST_POINTS` of points (n, 2), mm, evenly spaced along the arc."""
+    """Return the indices of at most `PROFILES.most_points` of points (n, 2), mm, evenly spaced along the arc."""
     # Points are chosen, not averaged: each keeps the noise of the instrument, its place in the file, and whether it is
     # an outlier. The arc is that of the running mean of the points, which noise lengthens little.
     n = len(points)
-    if n <= MOST_POINTS:
+    if n <= PROFILES.most_points:
         return np.arange(n)
-    width = 2 * (n // MOST_POINTS) + 1
+    width = 2 * (n // PROFILES.most_points) + 1
     total = np.cumsum(np.pad(points, ((width, width - 1), (0, 0)), mode="edge"), axis=0)
     mean = (total[width:] - total[:-width]) / width
     arc = np.cumsum(np.hypot(*np.diff(mean, axis=0, prepend=mean[:1]).T))[-n:]
     share = (arc - arc[0]) / max(float(arc[-1] - arc[0]), np.finfo(np.float64).tiny)
-    cell = np.minimum((share * MOST_POINTS).astype(np.int64), MOST_POINTS - 1)
+    cell = np.minimum((share * PROFILES.most_points).astype(np.int64), PROFILES.most_points - 1)
     return np.unique(cell, return_index=True)[1].astype(np.int64)
-
-
-EXACT_BELOW = 1e-4  # mm: points with less noise are taken as they are
-SAMPLING_STEP = 0.05  # mm of arc between the points of a smoothed profile
-CLOSEST = 1e-3  # mm across, nearer neighbours are one point
-STEEPEST = 50.0  # slope up to which a surface has one height per lateral position
-OUTLIER = 5.0  # times the local noise, across the curve
-LEAST_OUTLIER = 0.02  # mm across the curve, no point nearer to it is an outlier
-OUTLIER_ROUNDS = 5
-ALONE = 3  # points to either side, of which only the farthest is left out at a time
-NEIGHBOURHOOD = 40  # points to either side that show the local noise
-NEAR = 15  # points to either side, whose noise is that of the point between them
-_MILLIMETRE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,17 +72,17 @@ def smoothed_profile(
     """Return the smooth profile through measured points; the penalty is chosen from the points or by known noise.
 
     Points that are farther from the curve than 5 times the local noise are left out, one after another where they
-    are alone. Points without noise (less than 0.1 um) are taken as they are. Of more than `MOST_POINTS` so many are
-    smoothed, evenly spaced along the arc.
+    are alone. Points without noise (less than 0.1 um) are taken as they are. Of more than ``PROFILES.most_points`` so
+    many are smoothed, evenly spaced along the arc.
 
     Args:
         points: (n, 2) mm, y to the field side and z down, along the profile with y increasing on the whole.
         noise_std: Known noise of the instrument, mm; 0 takes the points as they are, None estimates it.
     """
     level = correlated_noise(points)[0] if noise_std is None else noise_std
-    if level < EXACT_BELOW:
+    if level < PROFILES.exact_noise:
         kept = advancing(points[:, 0], _peak(kind, points[:, 1]))
-        y, z = points[kept].T * _MILLIMETRE
+        y, z = points[kept].T * MILLIMETRE
         return SmoothedProfile(datum_at_zero(profile_from_points(kind, name, y, z)), 0.0)
     chosen = thinned(points)
     try:
@@ -109,21 +95,21 @@ def smoothed_profile(
         ) from error
     counted = weight > 0.0
     design = nearest_design(kind, points[chosen][counted])
-    local = np.sqrt(np.nanmean(_windows(spline.residual[counted] ** 2, NEAR), axis=1))
+    local = np.sqrt(np.nanmean(_windows(spline.residual[counted] ** 2, PROFILES.middle_neighbours), axis=1))
     if design and explains(design, points[chosen][counted], local, correlated_noise(points[chosen])[1]):
         spline = fit_spline(points[chosen], weight, noise_std, design)
     profile = _profile(kind, name, spline, spline.coefficients)
     outliers = tuple(int(index) for index in chosen[weight == 0.0])
-    return SmoothedProfile(profile, spline.noise_std * _MILLIMETRE, outliers, spline)
+    return SmoothedProfile(profile, spline.noise_std * MILLIMETRE, outliers, spline)
 
 
 def _without_outliers(points: FloatArray, level: float, noise_std: float | None) -> tuple[PenalisedSpline, FloatArray]:
     weight = without_spikes(points, level)
     spline = fit_spline(points, weight, noise_std)
-    for _ in range(OUTLIER_ROUNDS):
+    for _ in range(PROFILES.outlier_rounds):
         limit = _limit(spline.residual, weight)
         magnitude = np.where(weight > 0.0, np.abs(spline.residual), 0.0)
-        farthest = magnitude >= np.nanmax(_windows(magnitude, ALONE), axis=1)
+        farthest = magnitude >= np.nanmax(_windows(magnitude, PROFILES.outlier_neighbours), axis=1)
         far = (weight > 0.0) & (np.abs(spline.residual) > limit) & farthest
         if not far.any():
             break
@@ -160,7 +146,7 @@ def advancing(y: FloatArray, peak: int) -> IntArray:
 def _beyond_all_before(y: FloatArray) -> IntArray:
     """Return the indices of the points beyond all before them, and not too close to the last of these."""
     kept = np.flatnonzero(np.concatenate([[True], y[1:] > np.maximum.accumulate(y)[:-1]]))
-    while len(close := np.flatnonzero(np.diff(y[kept]) <= CLOSEST)):
+    while len(close := np.flatnonzero(np.diff(y[kept]) <= PROFILES.least_spacing)):
         kept = np.delete(kept, close[np.concatenate([[True], np.diff(close) > 1])] + 1)
     return kept.astype(np.int64)
 
@@ -171,12 +157,12 @@ def _peak(kind: ProfileKind, z: FloatArray) -> int:
 
 def _profile(kind: ProfileKind, name: str, spline: PenalisedSpline, coefficients: FloatArray) -> Profile:
     first, last = float(spline.knots[DEGREE]), float(spline.knots[-DEGREE - 1])
-    arc = np.linspace(first, last, 2 + int((last - first) / SAMPLING_STEP))
+    arc = np.linspace(first, last, 2 + int((last - first) / PROFILES.smoothed_step))
     point, derivative = spline.at(arc, coefficients)
     (y, z), (across, down) = point.T, derivative.T
     kept = advancing(y, _peak(kind, z))
-    kept = kept[across[kept] * STEEPEST > np.abs(down[kept])]
-    profile = Profile(kind, name, y[kept] * _MILLIMETRE, z[kept] * _MILLIMETRE, down[kept] / across[kept])
+    kept = kept[across[kept] * PROFILES.steepest_smoothed > np.abs(down[kept])]
+    profile = Profile(kind, name, y[kept] * MILLIMETRE, z[kept] * MILLIMETRE, down[kept] / across[kept])
     return datum_at_zero(profile)
 
 
@@ -187,13 +173,13 @@ def without_spikes(points: FloatArray, level: float) -> FloatArray:
     middle = np.median(points[index], axis=1)
     distance = np.hypot(*(points - middle).T)
     reach = np.hypot(*np.median(np.abs(points[index] - middle[:, np.newaxis]), axis=1).T)
-    return np.where(distance > np.maximum(8.0 * level, LEAST_OUTLIER) + 3.0 * reach, 0.0, 1.0)
+    return np.where(distance > np.maximum(8.0 * level, PROFILES.least_outlier_distance) + 3.0 * reach, 0.0, 1.0)
 
 
 def _limit(residual: FloatArray, weight: FloatArray) -> FloatArray:
     magnitude = np.where(weight > 0.0, np.abs(residual), np.nan)
-    local = 1.4826 * np.nanmedian(_windows(magnitude, NEIGHBOURHOOD), axis=1)
-    return np.maximum(OUTLIER * local, LEAST_OUTLIER)
+    local = STD_PER_MAD * np.nanmedian(_windows(magnitude, PROFILES.noise_neighbours), axis=1)
+    return np.maximum(PROFILES.outlier_stds * local, PROFILES.least_outlier_distance)
 
 
 def _windows(values: FloatArray, reach: int) -> FloatArray:

@@ -20,17 +20,11 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.contact.profiles import TREAD_DATUM, Profile
+from estimation.contact.parameters import PROFILES
+from estimation.contact.profiles import Profile
 from estimation.errors import ParameterError, ProfileError
 from estimation.values.arrays import FloatArray
 from estimation.values.fields import in_mm
-
-DEEPEST_HOLLOW = 6e-3  # largest depth that the form is meant for, m
-
-MOST_FLANGE_WEAR = 4e-3  # largest flange wear for which the moved flange still is one height per lateral position, m
-
-_ROOT = (-0.040, -0.032)  # m, the flange moves fully at the first, the tread not at all from the second on
-_TIP = (-0.058, -0.048)  # m, the tip stays up to the first, the face moves fully from the second on
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +37,8 @@ class TreadWear:
     flange_wear: float = 0.0  # reduction of the flange thickness
 
     def __post_init__(self) -> None:
-        _within("depth", self.depth, DEEPEST_HOLLOW)
-        _within("flange_wear", self.flange_wear, MOST_FLANGE_WEAR)
+        _within("depth", self.depth, PROFILES.deepest_hollow)
+        _within("flange_wear", self.flange_wear, PROFILES.most_flange_wear)
         _check_band(self)
 
 
@@ -60,7 +54,7 @@ def wear_course(family: WearFamily, depth: float) -> TreadWear:
     # The hollow is where the pair's contact patches are; the flange loses as much as the tread. On the pair's new rail
     # at 1435 mm equivalent conicity at 3 mm (EN 15302) grows steadily with depth: P8 on 56E1 from 0.195 to 0.44 at 2.2
     # mm, S1002 on 60E1 from 0.174 to 0.42 at 1.3 mm; beyond, P8 grows on and S1002 levels off near 0.46.
-    centre, half_width = {WearFamily.P8_ON_56E1: (3e-3, 44e-3), WearFamily.S1002_ON_60E1: (4e-3, 33e-3)}[family]
+    centre, half_width = HOLLOWS["P8" if family is WearFamily.P8_ON_56E1 else "S1002"]
     return TreadWear(depth, centre, half_width, depth)
 
 
@@ -68,7 +62,7 @@ def worn(wheel: Profile, wear: TreadWear) -> Profile:
     """Return the wheel profile after it has lost that material; the new profile is not touched."""
     if wheel.kind != "wheel":
         raise ProfileError(f"{wheel.name!r} is a rail; wear is applied to wheels", field="kind")
-    (root, root_rate), (tip, tip_rate) = _blend(wheel.y, *_ROOT), _blend(wheel.y, *_TIP)
+    (root, root_rate), (tip, tip_rate) = (_blend(wheel.y, *PROFILES.root_range), _blend(wheel.y, *PROFILES.tip_range))
     moved = wear.flange_wear * (1.0 - root) * tip  # from how far field-wards the surface at y came
     rate = wear.flange_wear * ((1.0 - root) * tip_rate - root_rate * tip)
     source = np.clip(wheel.y + moved, wheel.y[0], wheel.y[-1])
@@ -101,13 +95,6 @@ def _check_band(wear: TreadWear | RailWear) -> None:
         raise ParameterError(f"{wear.centre!r} is not a position", field="centre")
 
 
-_FACE_BELOW_TREAD = 10e-3  # m, where the flange thickness is measured
-_FACE_ABOVE_TIP = 2e-3  # m, upper point of the flange gradient
-_TREAD_FROM = -0.030  # m, field side of the flange root
-_RIM_MARGIN = 5e-3  # m, the outermost part belongs to the chamfer
-_FINE = 2e-5  # m
-
-
 @dataclass(frozen=True, slots=True)
 class WearMeasures:
     """Wear measures of a wheel profile, m."""
@@ -135,17 +122,17 @@ def wear_measures(wheel: Profile) -> WearMeasures:
     """Return the wear measures of a whole wheel whose origin is the tread datum, 70 mm from the flange back."""
     if wheel.kind != "wheel":
         raise ProfileError(f"{wheel.name!r} is a rail; wear measures are a wheel's", field="kind")
-    if not wheel.y[0] < _TREAD_FROM or not wheel.y[-1] > 0.0:
+    if not wheel.y[0] < PROFILES.tread_begin or not wheel.y[-1] > 0.0:
         raise ProfileError(f"{wheel.name!r} does not reach from the flange to the tread datum", field="y")
-    y = np.arange(wheel.y[0], wheel.y[-1], _FINE)
+    y = np.arange(wheel.y[0], wheel.y[-1], PROFILES.wear_step)
     z = wheel.height(y)
     tip = int(np.argmax(z))
     tread = float(wheel.height(np.zeros(1))[0])
-    thick = _face(y[tip:], z[tip:], tread + _FACE_BELOW_TREAD)
-    high = _face(y[tip:], z[tip:], float(z[tip]) - _FACE_ABOVE_TIP)
-    part = z[(y >= _TREAD_FROM) & (y <= y[-1] - _RIM_MARGIN)]
+    thick = _face(y[tip:], z[tip:], tread + PROFILES.face_depth)
+    high = _face(y[tip:], z[tip:], float(z[tip]) - PROFILES.gradient_height)
+    part = z[(y >= PROFILES.tread_begin) & (y <= y[-1] - PROFILES.rim_margin)]
     hollow = float((np.maximum.accumulate(part[::-1])[::-1] - part).max())  # below the highest point farther out
-    return WearMeasures(float(z[tip]) - tread, thick + TREAD_DATUM, thick - high, hollow)
+    return WearMeasures(float(z[tip]) - tread, thick + PROFILES.tread_datum, thick - high, hollow)
 
 
 def _face(y: FloatArray, z: FloatArray, level: float) -> float:
@@ -154,9 +141,6 @@ def _face(y: FloatArray, z: FloatArray, level: float) -> float:
         raise ProfileError(f"the flange face does not cross a depth of {level * 1e3:.2f} mm", field="z")
     i = int(above[0])
     return float(y[i] - (y[i] - y[i - 1]) * (level - z[i]) / (z[i - 1] - z[i]))
-
-
-DEEPEST_BAND = 4e-3  # largest depth that the form is meant for, m
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +152,7 @@ class RailWear:
     half_width: float = 0.030  # from the middle to where the band ends
 
     def __post_init__(self) -> None:
-        _within("depth", self.depth, DEEPEST_BAND)
+        _within("depth", self.depth, PROFILES.deepest_band)
         _check_band(self)
 
 

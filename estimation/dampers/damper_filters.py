@@ -18,6 +18,7 @@ import scipy.linalg
 
 from estimation.adhesion.stationary_filter import over_a_sample
 from estimation.compiled import compiled
+from estimation.dampers.parameters import DAMPING
 from estimation.dampers.suspension_equations import (
     between_samples,
     low_pass,
@@ -26,6 +27,7 @@ from estimation.dampers.suspension_equations import (
     uncertain_parameters,
 )
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
+from estimation.values.memory import MEMORY
 from estimation.values.opinions import SHARES
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, SensorLayout, VehicleClass
 
@@ -126,14 +128,9 @@ def add_outer(innovations: FloatArray, signals: FloatArray, products: FloatArray
                 products[particle, a, b] += signals[a] * signals[b]
 
 
-OFFSET_CORNER_HZ = 0.3  # below it the offset of the sensors explains what they measure
-LEAST_DENSITY = 1e-5  # m/s2 per root hertz, of sensors that have no noise on file
-KEPT = 8  # classes
-LEAST_SCALE_STD = 0.01  # of a sensor, whatever is on file
 GAIN = "gain"  # of the sensors above over those of the wheelsets
 SOURCES = ("mean", "apart_below", "apart_above", "late")
 """Accelerations that filters take: means of both axles; of sensors with scales apart; of nodes with clocks apart."""
-LATE_STD_S = 1e-3  # half the difference of two nodes' times
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +165,7 @@ class _Kept:
         return hash((self.vehicle_class.parameters, self.vehicle_class.bogie, self.vehicle_class.sensors))
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=MEMORY.damper_filters)
 def _filters(kept: _Kept, sample_interval_s: float) -> DamperFilters:
     vehicle_class, step_s = kept.vehicle_class, stride_of(sample_interval_s) * sample_interval_s
     physical = uncertain_parameters(vehicle_class)
@@ -212,7 +209,7 @@ def _signals(physical: int, variants: int) -> FloatArray:
 def _of_noise(filters: DamperFilters, vehicle_class: VehicleClass, dt: float) -> FloatArray:
     """Return what the noise of the sensors adds to the products of a sample on average, (q - 1, v + 2, v + 2)."""
     stride, taps = stride_of(dt), low_pass(dt)
-    count = round(RESPONSE_S / filters.step_s)
+    count = round(DAMPING.memory_s / filters.step_s)
     variants = len(filters.source) + 1
     products = np.zeros((len(SHARES) - 1, variants, variants))
     counted, silent = np.ones(count, np.bool_), np.zeros((len(SOURCES), count))
@@ -226,7 +223,7 @@ def _of_noise(filters: DamperFilters, vehicle_class: VehicleClass, dt: float) ->
             mean = np.tile(one, (len(SOURCES), 1))
             apart = silent.copy()
             apart[1 if below else 2] = filters.apart[0 if below else 1] * one
-            apart[3] = LATE_STD_S * np.gradient(one, filters.step_s)
+            apart[3] = DAMPING.clock_std_s * np.gradient(one, filters.step_s)
             for signal in (mean, apart):
                 both = (signal, silent) if below else (silent, signal)
                 add_products(filters, both[0], both[1], counted, products)
@@ -237,9 +234,6 @@ def of_signals(filters: DamperFilters, products: FloatArray) -> FloatArray:
     """Return the products (q - 1, m, m) of the signals."""
     whole = products + np.tril(products, -1).transpose(0, 2, 1)
     return np.asarray(filters.signals @ whole @ filters.signals.T)
-
-
-RESPONSE_S = 30.0  # after which the filters have forgotten
 
 
 def add_products(
@@ -265,7 +259,8 @@ def gain_std(vehicle_class: VehicleClass) -> float:
 
 
 def _scale_stds(sensors: SensorLayout) -> tuple[float, float]:
-    return max(sensors.lateral.scale_std, LEAST_SCALE_STD), max(sensors.mass_lateral.scale_std, LEAST_SCALE_STD)
+    least = DAMPING.least_scale_std
+    return max(sensors.lateral.scale_std, least), max(sensors.mass_lateral.scale_std, least)
 
 
 def _axles(vehicle_class: VehicleClass) -> int:
@@ -283,7 +278,7 @@ def _one(
     measured[:-1] = (1.0 + stds.get(GAIN, 0.0)) * equations.measured
     of_wheelsets, above = _densities(vehicle_class.sensors, _axles(vehicle_class))
     intensity = np.outer(by_input, by_input) * of_wheelsets**2 / 2.0
-    intensity[-1, -1] = (2.0 * math.pi * OFFSET_CORNER_HZ) ** 2 * above**2 / 2.0
+    intensity[-1, -1] = (2.0 * math.pi * DAMPING.offset_corner_hz) ** 2 * above**2 / 2.0
     unit = above**2 / (2.0 * step_s)  # variance of what is measured above, which all covariances are over
     transition, process = over_a_sample(rates, intensity / unit, step_s)
     predicted = scipy.linalg.solve_discrete_are(transition.T, measured[:, None], process, np.eye(1))
@@ -302,5 +297,5 @@ def _held(rates: FloatArray, by_input: FloatArray, step_s: float) -> FloatArray:
 
 
 def _densities(sensors: SensorLayout, axles: int) -> tuple[float, float]:
-    found = [max(one.noise_density, LEAST_DENSITY) for one in (sensors.lateral, sensors.mass_lateral)]
+    found = [max(one.noise_density, DAMPING.least_noise_density) for one in (sensors.lateral, sensors.mass_lateral)]
     return found[0] / math.sqrt(axles), found[1] / math.sqrt(axles)

@@ -24,6 +24,7 @@ from typing import Annotated
 
 import numpy as np
 
+from estimation.dampers.parameters import DAMPING
 from estimation.values.arrays import FloatArray, FrozenArrays, frozen_array
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass, VehicleParameters
 
@@ -99,13 +100,9 @@ def _bogie(p: VehicleParameters, bogie: BogieParameters, share: float) -> Suspen
     return SuspensionEquations(rates, np.array([0.0, -1.0, 0.0, 0.0]), frame)
 
 
-PASSED_HZ, STOPPED_HZ, STOPPED_DB = 5.0, 8.0, 70.0
-STEP_S = 0.016  # between the samples that the filters take
-
-
 def stride_of(sample_interval_s: float) -> int:
     """Return of how many samples one is kept."""
-    return max(round(STEP_S / sample_interval_s), 1)
+    return max(round(DAMPING.step_s / sample_interval_s), 1)
 
 
 @lru_cache(maxsize=4)
@@ -113,8 +110,8 @@ def low_pass(sample_interval_s: float) -> FloatArray:
     """Return the taps (k,) of the low-pass, odd in number and symmetric."""
     from scipy.signal import firwin, kaiserord  # noqa: PLC0415 - slow to import, and few need it
 
-    count, beta = kaiserord(STOPPED_DB, 2.0 * sample_interval_s * (STOPPED_HZ - PASSED_HZ))
-    corner = 0.5 * (PASSED_HZ + STOPPED_HZ)
+    count, beta = kaiserord(DAMPING.stop_db, 2.0 * sample_interval_s * (DAMPING.stop_hz - DAMPING.pass_hz))
+    corner = 0.5 * (DAMPING.pass_hz + DAMPING.stop_hz)
     taps = firwin(count | 1, corner, window=("kaiser", beta), fs=1.0 / sample_interval_s)
     return frozen_array(taps, (None,), name="taps")
 

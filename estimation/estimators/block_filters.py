@@ -23,7 +23,6 @@ import numpy as np
 from estimation.errors import ParameterError
 from estimation.estimators import filter_kernels as kernels
 from estimation.estimators.interface import (
-    FEWEST_GROUPS,
     CurveEstimate,
     EstimatorParameters,
     Replicates,
@@ -32,19 +31,19 @@ from estimation.estimators.interface import (
     nothing,
     usable,
 )
-from estimation.estimators.series import GROUPS, SPACING, SeriesState, added, empty, misfit, shifts
+from estimation.estimators.parameters import RIVALS
+from estimation.estimators.series import SeriesState, added, empty, misfit, shifts
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import MILLIMETRE
 from estimation.values.windows import Motion
 from estimation.vehicle.regressors import regression
 from estimation.vehicle.vehicle_class import VehicleParameters
 
-STEP_S = 0.012  # between the samples that a filter takes
-SHORTEST = 100  # samples of a block that is filtered
-LARGEST_SQUARE = 3.0  # mean of squared innovations over their variances of a filter that follows
-MOST_DIVERGED = 0.2  # share of blocks
+STEEPEST = RIVALS.steepest_slope
+OFFSET_STD = RIVALS.offset_std
 
 
 class Inputs(NamedTuple):
@@ -85,19 +84,16 @@ class FilterState(FrozenArrays):
     diverged: int
 
 
-LEAST_NOISE = 0.03e-3  # m, std of y - d
-
-
 def follows(found: Posterior) -> bool:
     """Return whether a filter has followed the motion of a block: by its innovations, and by its covariance."""
     finite = np.isfinite(found.mean).all() and np.isfinite(found.covariance).all() and np.isfinite(found.square)
-    if not finite or found.square > LARGEST_SQUARE:
+    if not finite or found.square > RIVALS.most_innovation:
         return False
     return bool(np.linalg.eigvalsh(found.covariance)[0] > 0.0)
 
 
 def _inputs(motion: Motion, parameters: EstimatorParameters, keep: BoolArray) -> Inputs:
-    stride = max(round(STEP_S / motion.sample_interval_s), 1)
+    stride = max(round(RIVALS.step_s / motion.sample_interval_s), 1)
     at = np.flatnonzero(keep)
     run = np.cumsum(np.append(0, np.diff(at) > 1))
     within = np.arange(len(at)) - np.searchsorted(run, run)
@@ -134,7 +130,9 @@ class BlockFilters(ABC):
     def init(self, parameters: EstimatorParameters) -> FilterState:
         """Return the state before any block."""
         m = len(self.prior.mean)
-        return FilterState(empty(parameters, m), np.zeros((GROUPS, m, m)), np.zeros((GROUPS, m)), 0, 0)
+        return FilterState(
+            empty(parameters, m), np.zeros((RIVALS.series_groups, m, m)), np.zeros((RIVALS.series_groups, m)), 0, 0
+        )
 
     def update(self, state: FilterState, motion: Motion, weight: float = 1.0) -> FilterState:
         """Return the state with the blocks of ``motion`` filtered and added, ``weight`` times."""
@@ -144,18 +142,18 @@ class BlockFilters(ABC):
         precision, information = state.precision.copy(), state.information.copy()
         blocks, diverged = state.blocks, state.diverged
         of_sensors = math.sqrt(motion.displacement_noise)
-        noise = max(math.hypot(parameters.uncertainty.alignment_noise, of_sensors), LEAST_NOISE)
+        noise = max(math.hypot(parameters.uncertainty.alignment_noise, of_sensors), RIVALS.least_noise_std)
         before = np.diag(prior.std**-2.0)
         for block in np.unique(motion.block[keep]):
             inputs = _inputs(motion, parameters, keep & (motion.block == block))
-            if len(inputs.yaw) < SHORTEST:
+            if len(inputs.yaw) < RIVALS.shortest_block:
                 continue
             found = self.filter_block(parameters.vehicle, inputs, noise)
             blocks += 1
             if not follows(found):
                 diverged += 1
                 continue
-            group = int(group_of(np.array([block]), GROUPS)[0])
+            group = int(group_of(np.array([block]), RIVALS.series_groups)[0])
             after = np.linalg.inv(found.covariance)
             precision[group] += weight * (after - before)
             information[group] += weight * (after @ found.mean - before @ prior.mean)
@@ -167,16 +165,16 @@ class BlockFilters(ABC):
         span = covered_range(series.counts)
         if isinstance(span, Reason):
             return nothing(span, series.parameters, series.samples, series.stretches)
-        if state.diverged > MOST_DIVERGED * state.blocks:
+        if state.diverged > RIVALS.most_diverged_share * state.blocks:
             text = f"the filter has diverged in {state.diverged} of {state.blocks} blocks of running"
             return nothing(Reason(ReasonCode.DIVERGED, text), series.parameters, series.samples, series.stretches)
         present = np.flatnonzero(np.trace(state.precision, axis1=1, axis2=2) != 0.0)
-        if len(present) < FEWEST_GROUPS:
+        if len(present) < RIVALS.fewest_groups:
             return nothing(too_few_blocks(len(present)), series.parameters, series.samples, series.stretches)
         before = np.diag(self.prior.std**-2.0)
         precision = before + state.precision.sum(axis=0)
         information = before @ self.prior.mean + state.information.sum(axis=0)
-        x = np.linspace(*span, round((span[1] - span[0]) / SPACING) + 1)
+        x = np.linspace(*span, round((span[1] - span[0]) / RIVALS.curve_spacing) + 1)
         functions = self.basis(x)
         value = functions @ np.linalg.solve(precision, information)
         left_out = [
@@ -205,7 +203,7 @@ class ExtendedKalman(BlockFilters):
 
     def basis(self, x: FloatArray) -> FloatArray:
         """Return the powers."""
-        return np.vander(x / kernels.MILLIMETRE, len(self.prior.mean), increasing=True)
+        return np.vander(x / MILLIMETRE, len(self.prior.mean), increasing=True)
 
     def filter_block(self, vehicle: VehicleParameters, inputs: Inputs, noise: float) -> Posterior:
         """Return what a block tells of the coefficients."""
@@ -214,13 +212,6 @@ class ExtendedKalman(BlockFilters):
         lever = 2 * vehicle.half_contact_distance * vehicle.nominal_radius
         square = kernels.extended(*inputs, noise, lever, mean, P)
         return Posterior(mean[2:], 0.5 * (P + P.T)[2:, 2:], square)
-
-
-STEEPEST = 1.6  # of R per y - d that particles begin with: a conicity of 0.8
-OFFSET_STD = 1e-3  # m
-ROWS = 64  # of numbers drawn, used in turn
-SEED = 2003
-SMALLEST = 1e-9  # of the variance of the slope, relative to the prior's: particles that are all alike
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,8 +224,7 @@ class ParticleFilter(BlockFilters):
     """
 
     prior = Prior(
-        np.array([0.0, 0.5 * STEEPEST * kernels.MILLIMETRE]),
-        np.array([OFFSET_STD, STEEPEST / np.sqrt(12.0) * kernels.MILLIMETRE]),
+        np.array([0.0, 0.5 * STEEPEST * MILLIMETRE]), np.array([OFFSET_STD, STEEPEST / np.sqrt(12.0) * MILLIMETRE])
     )
     particles: int = 48
     name: str = "particles"
@@ -242,7 +232,7 @@ class ParticleFilter(BlockFilters):
 
     def basis(self, x: FloatArray) -> FloatArray:
         """Return the constant and the line."""
-        return np.column_stack([np.ones(len(x)), x / kernels.MILLIMETRE])
+        return np.column_stack([np.ones(len(x)), x / MILLIMETRE])
 
     def filter_block(self, vehicle: VehicleParameters, inputs: Inputs, noise: float) -> Posterior:
         """Return what a block tells of offset and slope."""
@@ -251,14 +241,15 @@ class ParticleFilter(BlockFilters):
         P = np.tile(np.diag([1.0, 1.0, OFFSET_STD**2]), (self.particles, 1, 1))
         lever = 2 * vehicle.half_contact_distance * vehicle.nominal_radius
         square = kernels.particles(*inputs, noise, lever, slope, mean, P, _draws(self.particles))
-        found = np.column_stack([mean[:, 2], slope * kernels.MILLIMETRE])
-        covariance = np.cov(found.T, bias=True) + np.diag([P[:, 2, 2].mean(), SMALLEST * self.prior.std[1] ** 2])
+        found = np.column_stack([mean[:, 2], slope * MILLIMETRE])
+        least = [P[:, 2, 2].mean(), RIVALS.least_slope_variance * self.prior.std[1] ** 2]
+        covariance = np.cov(found.T, bias=True) + np.diag(least)
         return Posterior(found.mean(axis=0), covariance, square)
 
 
 @lru_cache
 def _draws(particles: int) -> FloatArray:
-    rng = np.random.default_rng(SEED)
-    drawn = np.column_stack([rng.uniform(size=ROWS), rng.standard_normal((ROWS, particles))])
+    rng = np.random.default_rng(RIVALS.draw_seed)
+    drawn = np.column_stack([rng.uniform(size=RIVALS.drawn_rows), rng.standard_normal((RIVALS.drawn_rows, particles))])
     drawn.flags.writeable = False
     return drawn

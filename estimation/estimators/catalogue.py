@@ -18,9 +18,8 @@ from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinTable
+from estimation.values.units import MILLIMETRE
 from estimation.values.windows import Motion
-
-MILLIMETRE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)

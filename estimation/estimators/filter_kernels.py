@@ -15,13 +15,16 @@ import math
 import numpy as np
 
 from estimation.compiled import compiled
+from estimation.estimators.parameters import RIVALS
 from estimation.values.arrays import FloatArray
+from estimation.values.units import MILLIMETRE
 
-MILLIMETRE = 1e-3
-ALIGNMENT = 1e-6  # m, intensity of d' per speed: slopes of 0.6 mm/m over 3 m
-YAW_RATE = 3e-8  # rad2/s, intensity of what psi' has besides: R is measured to 0.03 mm over some 0.05 s
-YAW = 1e-5  # rad, std of psi
-RENEWED = (1e-3, 1e-3)  # m, rad, std of y - d and psi behind a gap
+ALIGNMENT = RIVALS.alignment_intensity
+YAW_RATE = RIVALS.yaw_rate_intensity
+YAW = RIVALS.yaw_std
+RENEWED = RIVALS.renewed_stds
+MOVED = RIVALS.moved_share
+COOLING = RIVALS.least_spread_share
 
 
 @compiled(nogil=True, error_model="numpy")
@@ -205,6 +208,4 @@ def resample(
     weight[:] = 1.0 / q
 
 
-MOVED = 0.3  # of the spread of the particles, std by which copies are moved
-COOLING = 0.25  # of the spread that copies have at least, with every time that they are made
 KEPT = math.sqrt(1.0 - MOVED * MOVED)  # so that the spread stays what it is (Liu and West 2001)

@@ -25,7 +25,6 @@ from estimation.contact.conicity import zero_crossing
 from estimation.errors import ParameterError
 from estimation.estimators.interface import (
     CELLS,
-    FEWEST_GROUPS,
     REACH,
     CurveEstimate,
     EstimatorParameters,
@@ -37,7 +36,7 @@ from estimation.estimators.interface import (
     run_around_middle,
     usable,
 )
-from estimation.estimators.series import GROUPS
+from estimation.estimators.parameters import RIVALS
 from estimation.geometry.conicity import too_few_blocks
 from estimation.geometry.sharpening import jumps_displaced
 from estimation.tables.bin_table import group_of
@@ -46,8 +45,36 @@ from estimation.values.reasons import Reason
 from estimation.values.windows import Motion
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 
-FREEDOM = 6.0  # of Student's t, of the difference between R and the curve
-LIKELY = 1e-3  # probability below which a value of the grid is left out of the sums
+
+@dataclass(frozen=True, slots=True)
+class HiddenParameters:
+    """Prior and noise of the hidden displacement."""
+
+    student_freedom: float = 6.0  # of Student's t, of the difference between R and the curve
+    least_probability: float = 1e-3  # probability below which a value of the grid is left out of the sums
+    cell_width: float = 0.04e-3  # m of y - d
+    least_cell_samples: float = 20.0  # samples
+    prior_std: float = 0.1e-3  # m, of the hidden displacement
+    step_probability: float = 0.08  # probability of a step to a neighbour in a chunk
+    chunk_s: float = 0.02
+    curve_noise_std: float = 0.06e-3  # m, std of R about the curve
+    sample_weight: float = 0.5  # how much one of neighbouring samples counts
+    jump_place_std: float = 0.012e-3  # m, std of where a contact jump is found
+    gauge_jump_share: float = 0.3  # of the std that the gauge moves contact jumps by
+    steep_factor: float = 3.0  # times the median slope
+    least_rise: float = 0.12e-3  # m of R
+    most_rise_spread: float = 0.08e-3  # m, std of the rise over y - d
+    jump_reach: float = 4.0e-3  # m of y - d: beyond are the flanges
+    jump_side_distance: float = 1e-8  # m, from a jump to the points on both of its sides
+    grid_step: float = 0.02e-3  # m
+    grid_points: int = 15  # to either side
+    expectation_rounds: int = 6
+
+
+HIDDEN = HiddenParameters()
+FREEDOM = HIDDEN.student_freedom
+LIKELY = HIDDEN.least_probability
+CELL = HIDDEN.cell_width
 
 
 @compiled(nogil=True, error_model="numpy")
@@ -151,18 +178,9 @@ def add_expected(
                         counts[cell] += weight * probability
 
 
-CELL = 0.04e-3  # m of y - d
 FINE = round(2 * REACH / CELL)
 MIDDLES = frozen_array((np.arange(FINE) + 0.5) * CELL - REACH, (FINE,), name="middles")  # m
-LEAST_IN_CELL = 20.0  # samples
-GRID = frozen_array(0.02e-3 * np.arange(-15.0, 16.0), (31,), name="grid")  # m, values of the hidden displacement
-PRIOR_STD = 0.1e-3  # m, of the hidden displacement
-MOVE = 0.08  # probability of a step to a neighbour in a chunk
-CHUNK_S = 0.02
-NOISE = 0.06e-3  # m, std of R about the curve
-SHARE = 0.5  # how much one of neighbouring samples counts
-JUMP_PLACE = 0.012e-3  # m, std of where a contact jump is found
-JUMP_SHARE = 0.3  # of the std that the gauge moves contact jumps by
+GRID = HIDDEN.grid_step * np.arange(-HIDDEN.grid_points, HIDDEN.grid_points + 1.0)  # m, of the hidden displacement
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +215,7 @@ class HiddenState(FrozenArrays):
 class HiddenDisplacement:
     """Expectation maximisation of the curve, ``rounds`` times; none where y - d has lost nothing."""
 
-    rounds: int = 6
+    rounds: int = HIDDEN.expectation_rounds
     name: str = "hidden"
     title: str = "hidden slow displacement"
 
@@ -220,9 +238,9 @@ class HiddenDisplacement:
         derivatives = np.column_stack([np.bincount(cell, column, CELLS) for column in R[:, 1:].T])
         if state.parameters.band_limited and not motion.sample_interval_s > 0.0:
             raise ParameterError("the interval between samples is not known", field="sample_interval_s")
-        chunk = max(round(CHUNK_S / motion.sample_interval_s), 1) if state.parameters.band_limited else 1
+        chunk = max(round(HIDDEN.chunk_s / motion.sample_interval_s), 1) if state.parameters.band_limited else 1
         piece = HiddenPiece(
-            x, R[:, 0], np.append(first, len(x)), group_of(block[first], GROUPS),
+            x, R[:, 0], np.append(first, len(x)), group_of(block[first], RIVALS.series_groups),
             chunk, weight,
         )  # fmt: skip
         return HiddenState(
@@ -240,11 +258,11 @@ class HiddenDisplacement:
         if isinstance(span, Reason):
             return nothing(span, state.parameters, samples, state.stretches)
         groups = len({group for piece in state.pieces for group in piece.group.tolist()})
-        if groups < FEWEST_GROUPS:
+        if groups < RIVALS.fewest_groups:
             return nothing(too_few_blocks(groups), state.parameters, samples, state.stretches)
         sums, counts = self._expected(state)
         number = counts.sum(axis=0)
-        inside = run_around_middle((number >= LEAST_IN_CELL) & (span[0] < MIDDLES) & (span[1] > MIDDLES))
+        inside = run_around_middle((number >= HIDDEN.least_cell_samples) & (span[0] < MIDDLES) & (span[1] > MIDDLES))
         middles = MIDDLES[inside]
         sums, counts = sums[:, inside], counts[:, inside]
         total, number = sums.sum(axis=0), counts.sum(axis=0)
@@ -262,7 +280,7 @@ class HiddenDisplacement:
         sums, counts = _expectation(state, None)
         for _ in range(self.rounds if state.parameters.band_limited else 0):
             number = counts.sum(axis=0)
-            known = number >= min(LEAST_IN_CELL, number.max())
+            known = number >= min(HIDDEN.least_cell_samples, number.max())
             curve = np.asarray(np.interp(MIDDLES, MIDDLES[known], sums.sum(axis=0)[known] / number[known]))
             sums, counts = _expectation(state, curve)
         return sums, counts
@@ -271,17 +289,17 @@ class HiddenDisplacement:
 def _expectation(state: HiddenState, curve: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Return sums of R and numbers of samples (g, FINE), as likely as a curve makes it; None: as observed."""
     grid: FloatArray = np.zeros(1) if curve is None else GRID
-    prior = np.exp(-0.5 * (grid / PRIOR_STD) ** 2)
+    prior = np.exp(-0.5 * (grid / HIDDEN.prior_std) ** 2)
     prior /= prior.sum()
-    sums, counts = np.zeros((2, GROUPS, FINE))
+    sums, counts = np.zeros((2, RIVALS.series_groups, FINE))
     for piece in state.pieces:
         for group, first, last in zip(piece.group, piece.start[:-1], piece.start[1:], strict=True):
             x, R, chunk = piece.displacement[first:last], piece.difference[first:last], piece.chunk
             posterior = np.ones((len(x) // chunk, len(grid)))
             if curve is not None:
                 likelihood = np.empty_like(posterior)
-                weigh(x, R, chunk, curve, -REACH, CELL, grid, NOISE, SHARE, likelihood)
-                smooth(likelihood, prior, MOVE, posterior)
+                weigh(x, R, chunk, curve, -REACH, CELL, grid, HIDDEN.curve_noise_std, HIDDEN.sample_weight, likelihood)
+                smooth(likelihood, prior, HIDDEN.step_probability, posterior)
             add_expected(x, R, chunk, posterior, grid, -REACH, CELL, piece.weight, sums[group], counts[group])
     return sums, counts
 
@@ -295,17 +313,10 @@ def _systematic(x: FloatArray, curve: FloatArray, state: HiddenState) -> FloatAr
     rows = [std * np.interp(x, coarse[seen], column) for std, column in zip(unknown.yaw(), means.T, strict=True)]
     middle = zero_crossing(x, curve)
     if state.parameters.band_limited and np.isfinite(middle):
-        of_gauge = JUMP_SHARE * unknown.jump_position_std
-        place = float(np.linalg.norm([JUMP_PLACE, unknown.jump_mean_std, of_gauge]))
+        of_gauge = HIDDEN.gauge_jump_share * unknown.jump_position_std
+        place = float(np.linalg.norm([HIDDEN.jump_place_std, unknown.jump_mean_std, of_gauge]))
         rows += [jumps_displaced(x, curve, middle, by) - curve for by in (place, -place)]
     return np.array(rows)
-
-
-STEEP = 3.0  # times the median slope
-LEAST_STEP = 0.12e-3  # m of R
-MOST_SPREAD = 0.08e-3  # m, std of the rise over y - d
-JUMP_REACH = 4.0e-3  # m of y - d: beyond are the flanges
-JUMP_SIDES = 1e-8  # m, from a jump to the points on both of its sides
 
 
 class Stepped(NamedTuple):
@@ -323,9 +334,9 @@ def stepped(x: FloatArray, curve: FloatArray) -> Stepped:
     # wheels have steep parts without any jump.
     width = x[1] - x[0]
     middles, rise = 0.5 * (x[1:] + x[:-1]), np.diff(curve)
-    near = np.abs(middles) < JUMP_REACH
+    near = np.abs(middles) < HIDDEN.jump_reach
     usual = float(np.median(rise[near])) if near.any() else 0.0
-    steep = near & (rise > STEEP * max(usual, 0.0)) & (rise > 0.0)
+    steep = near & (rise > HIDDEN.steep_factor * max(usual, 0.0)) & (rise > 0.0)
     beyond = np.where(steep, rise - usual, 0.0)
     bounds = np.flatnonzero(np.diff(np.concatenate([[0], steep.astype(np.int64), [0]])))
     places, steps = [], []
@@ -335,11 +346,11 @@ def stepped(x: FloatArray, curve: FloatArray) -> Stepped:
         step = float(beyond[part].sum())
         place = float(beyond[part] @ middles[part]) / step
         spread = np.sqrt(float(beyond[part] @ (middles[part] - place) ** 2) / step + width**2 / 12.0)
-        if step >= LEAST_STEP and spread <= MOST_SPREAD:
+        if step >= HIDDEN.least_rise and spread <= HIDDEN.most_rise_spread:
             places.append(place)
             steps.append(step)
             smooth[part] -= beyond[part]
     jumps, heights = np.array(places), np.array(steps)
-    points = np.sort(np.concatenate([x, jumps - JUMP_SIDES, jumps + JUMP_SIDES]))
+    points = np.sort(np.concatenate([x, jumps - HIDDEN.jump_side_distance, jumps + HIDDEN.jump_side_distance]))
     base = np.interp(points, x, np.append(curve[0], curve[0] + np.cumsum(smooth)))
     return Stepped(points, base + (points[:, None] > jumps) @ heights, jumps)

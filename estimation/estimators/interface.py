@@ -14,6 +14,7 @@ from typing import Annotated, Any, Protocol, TypeVar
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
+from estimation.estimators.parameters import RIVALS
 from estimation.geometry.conicity import (
     NO_AMPLITUDE,
     NO_OFFSET,
@@ -23,7 +24,8 @@ from estimation.geometry.conicity import (
     not_covered,
     too_few_blocks,
 )
-from estimation.geometry.uncertainty import SCALE_UNCERTAINTY, ParameterUncertainty
+from estimation.geometry.parameters import PRIORS
+from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, bin_centres
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
 from estimation.values.quantities import Estimate, Status, jackknife_std, with_interval
@@ -91,10 +93,9 @@ class Estimator(Protocol[State]):
         """Return the curve and what follows from it."""
 
 
-WIDTH = 0.25e-3  # m
-REACH = 7.0e-3  # m
+WIDTH = RIVALS.bin_width
+REACH = RIVALS.bin_reach
 CELLS = round(2 * REACH / WIDTH)
-LEAST_SAMPLES = 100
 
 
 def usable(motion: Motion) -> BoolArray:
@@ -113,7 +114,7 @@ def counted(displacement: FloatArray, values: FloatArray | None = None) -> Float
 def beside(x: FloatArray, value: FloatArray, sums: FloatArray, counts: FloatArray) -> FloatArray:
     """Return by how much the mean of each cell is above a curve, straight between cells: (n,)."""
     middles = (np.arange(CELLS) + 0.5) * WIDTH - REACH
-    known = (counts >= LEAST_SAMPLES) & (middles > x[0]) & (middles < x[-1])
+    known = (counts >= RIVALS.least_samples) & (middles > x[0]) & (middles < x[-1])
     if not known.any():
         return np.zeros(len(x))
     apart = sums[known] / counts[known] - np.interp(middles[known], x, value)
@@ -121,8 +122,8 @@ def beside(x: FloatArray, value: FloatArray, sums: FloatArray, counts: FloatArra
 
 
 def covered_range(counts: FloatArray) -> tuple[float, float] | Reason:
-    """Return from where to where, m, every cell has ``LEAST_SAMPLES``, zero inside; why not without such a run."""
-    run = run_around_middle(counts >= LEAST_SAMPLES)
+    """Return from where to where, m, every cell has ``least_samples``, zero inside; why not without such a run."""
+    run = run_around_middle(counts >= RIVALS.least_samples)
     if CELLS // 2 in {run.start, run.stop}:
         return Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre")
     return run.start * WIDTH - REACH, run.stop * WIDTH - REACH
@@ -133,9 +134,6 @@ def run_around_middle(enough: BoolArray) -> slice:
     middle = len(enough) // 2
     right = middle + int(np.argmin(np.append(enough[middle:], False)))
     return slice(middle - int(np.argmin(np.append(enough[:middle][::-1], False))), right)
-
-
-FEWEST_GROUPS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,11 +178,11 @@ def nothing(reason: Reason, parameters: EstimatorParameters, samples: int, stret
 def curve_estimate(curve: Replicates, parameters: EstimatorParameters) -> CurveEstimate:
     """Return curve, conicity, NP and zero crossing, intervals from the spread of the replicates."""
     g = len(curve.left_out)
-    if 0 < g < FEWEST_GROUPS:
+    if 0 < g < RIVALS.fewest_groups:
         return nothing(too_few_blocks(g), parameters, curve.samples, curve.stretches)
     x, R, unknown = curve.displacement, curve.all_data, parameters.uncertainty
     # R and y - d are larger by one std of their scales
-    stretch = np.hypot(SCALE_UNCERTAINTY if parameters.band_limited else 0.0, unknown.displacement)
+    stretch = np.hypot(PRIORS.projection_scale_std if parameters.band_limited else 0.0, unknown.displacement)
     shifted = np.vstack([curve.shifted, R * (1.0 + unknown.scale), np.interp(x / (1.0 + stretch), x, R)])
     rows = np.concatenate([curve.all_data[None], curve.left_out, shifted])
     amplitude = np.array(parameters.curve.amplitudes)

@@ -23,7 +23,6 @@ from estimation.compiled import compiled
 from estimation.contact.conicity import zero_crossing
 from estimation.estimators.interface import (
     CELLS,
-    FEWEST_GROUPS,
     REACH,
     WIDTH,
     CurveEstimate,
@@ -36,6 +35,7 @@ from estimation.estimators.interface import (
     run_around_middle,
     usable,
 )
+from estimation.estimators.parameters import RIVALS
 from estimation.geometry.conicity import too_few_blocks
 from estimation.geometry.sharpening import jumps_displaced
 from estimation.geometry.uncertainty import ParameterUncertainty
@@ -137,7 +137,7 @@ def _recurse_bin(theta: FloatArray, P: FloatArray, X: FloatArray, z: FloatArray,
     return theta
 
 
-GROUPS = 16
+GROUPS = RIVALS.paper_algorithm_groups
 MIDDLES = frozen_array((np.arange(CELLS) + 0.5) * WIDTH - REACH, (CELLS,), name="middles")  # m
 
 
@@ -190,11 +190,6 @@ class CellMeans(FrozenArrays):
         return np.array([*rows, beside(x, value, self.sums.sum(axis=0), number)])
 
 
-SCALE = (1e-3, 1e-3, 1.0)  # usual size of psi, phi' and the constant
-FEWEST_BINS = 5
-LEAST_RANK = 1e-9  # smallest to largest, of a triangle that still is solved
-
-
 @dataclass(frozen=True, slots=True)
 class PaperState(FrozenArrays):
     """The recursion of every bin, and the samples of the bins that have not started."""
@@ -240,7 +235,8 @@ class PaperAlgorithm:
             return replace(state, stretches=state.stretches + 1)
         V = float(motion.speed[keep].mean())
         index = np.floor(motion.displacement[keep] / self.width + 0.5).astype(np.int64) + self._half
-        features = np.column_stack([motion.yaw[keep], motion.roll_rate[keep], np.ones(int(keep.sum()))]) / SCALE
+        columns = motion.yaw[keep], motion.roll_rate[keep], np.ones(int(keep.sum()))
+        features = np.column_stack(columns) / RIVALS.regressor_scale
         output = yaw_output(motion, state.parameters.vehicle, V, keep)
         root = np.sqrt(weight)
         cells = state.cells.added(motion, state.parameters.vehicle, weight)
@@ -276,15 +272,15 @@ class PaperAlgorithm:
         per_unit = -p.yaw_inertia * p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
         run = run_around_middle(np.isfinite(state.theta[:, 2]) & (state.count > self.threshold + REGRESSORS))
         samples = int(state.count.sum())
-        if run.stop == self._half or run.stop - run.start < FEWEST_BINS:
-            text = f"fewer than {FEWEST_BINS} bins around the centre have reached the threshold"
+        if run.stop == self._half or run.stop - run.start < RIVALS.fewest_bins:
+            text = f"fewer than {RIVALS.fewest_bins} bins around the centre have reached the threshold"
             return nothing(Reason(ReasonCode.TOO_FEW_BINS, text), state.parameters, samples, state.stretches)
-        R = per_unit * state.theta[run, 2] / SCALE[2]
+        R = per_unit * state.theta[run, 2] / RIVALS.regressor_scale[2]
         variance = state.squares[run] / (state.count[run] - REGRESSORS)
-        std = abs(per_unit) * np.sqrt(variance * state.covariance[run, 2, 2]) / SCALE[2]
+        std = abs(per_unit) * np.sqrt(variance * state.covariance[run, 2, 2]) / RIVALS.regressor_scale[2]
         x = (np.arange(run.start, run.stop) - self._half) * self.width
         left_out = state.cells.left_out(x)
-        if len(left_out) < FEWEST_GROUPS:
+        if len(left_out) < RIVALS.fewest_groups:
             return nothing(too_few_blocks(len(left_out)), state.parameters, samples, state.stretches)
         uncertain = R + state.cells.shifted(x, R, state.parameters.uncertainty)
         shifted = np.vstack([uncertain, jumps_elsewhere(x, R, self.width / np.sqrt(12.0))])
@@ -304,7 +300,7 @@ def _start(waiting: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         return np.full(REGRESSORS, np.nan), np.zeros((REGRESSORS, REGRESSORS)), 0.0
     root, triangle = np.linalg.qr(X / size)
     diagonal = np.abs(np.diag(triangle))
-    if diagonal.min() <= LEAST_RANK * diagonal.max():
+    if diagonal.min() <= RIVALS.least_rank_share * diagonal.max():
         return np.full(REGRESSORS, np.nan), np.zeros((REGRESSORS, REGRESSORS)), 0.0
     inverse = np.linalg.inv(triangle) / size[:, None]
     theta = inverse @ (root.T @ z)

@@ -15,7 +15,6 @@ import numpy as np
 
 from estimation.estimators.interface import (
     CELLS,
-    FEWEST_GROUPS,
     CurveEstimate,
     EstimatorParameters,
     Replicates,
@@ -26,17 +25,16 @@ from estimation.estimators.interface import (
     nothing,
     usable,
 )
+from estimation.estimators.parameters import RIVALS
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import MILLIMETRE
 from estimation.values.windows import Motion
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 from estimation.vehicle.vehicle_class import VehicleParameters
 
-GROUPS = 16
-SMALLEST_VARIANCE = 1e-18  # m2
-SPACING = 0.05e-3  # m of y - d at which the curve is given
 Basis = Callable[[FloatArray], FloatArray]  # y - d (n,) to functions (n, m)
 
 
@@ -58,7 +56,7 @@ def empty(
     parameters: EstimatorParameters, functions: int, targets: int = len(YAW_TARGETS), sums: int = 1
 ) -> SeriesState:
     """Return empty sums for ``functions`` basis functions."""
-    gram, cross = np.zeros((GROUPS, functions, functions)), np.zeros((GROUPS, functions, targets))
+    gram, cross = (np.zeros((RIVALS.series_groups, functions, columns)) for columns in (functions, targets))
     return SeriesState(parameters, gram, cross, 0.0, np.zeros((sums, CELLS)), np.zeros(CELLS), 0, 0)
 
 
@@ -75,7 +73,7 @@ def summed(
 ) -> SeriesState:
     """Return the state with the usable samples (n,) of ``motion`` added, ``by_cell`` (n, k) by displacement."""
     keep = usable(motion)
-    x, groups = motion.displacement[keep], group_of(motion.block[keep], GROUPS)
+    x, groups = motion.displacement[keep], group_of(motion.block[keep], RIVALS.series_groups)
     gram, cross = state.gram.copy(), state.cross.copy()
     for group in np.unique(groups):
         in_group = groups == group
@@ -118,10 +116,10 @@ class SeriesFit(ABC):
         if isinstance(span, Reason):
             return nothing(span, state.parameters, state.samples, state.stretches)
         present = np.flatnonzero(np.trace(state.gram, axis1=1, axis2=2) > 0)
-        if len(present) < FEWEST_GROUPS:  # what is left without one of them may not determine the functions
+        if len(present) < RIVALS.fewest_groups:  # what is left without one of them may not determine the functions
             return nothing(too_few_blocks(len(present)), state.parameters, state.samples, state.stretches)
         low, high = span
-        x = np.linspace(low, high, round((high - low) / SPACING) + 1)
+        x = np.linspace(low, high, round((high - low) / RIVALS.curve_spacing) + 1)
         gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
         small = _small(gram, self.ridge)
         theta = np.linalg.solve(gram + small, cross[:, 0])
@@ -133,7 +131,7 @@ class SeriesFit(ABC):
         squares = max(float(state.squares - theta @ cross[:, 0]), 0.0)
         count = max(float(state.counts.sum()) - len(theta), 1.0)
         inverse = np.linalg.inv(gram + small)
-        covariance = 0.5 * (inverse + inverse.T) * max(squares / count, SMALLEST_VARIANCE)
+        covariance = 0.5 * (inverse + inverse.T) * max(squares / count, RIVALS.smallest_variance)
         own = (functions @ np.linalg.cholesky(covariance)).T
         without = np.array(left_out) @ functions.T
         curve = Replicates(x, value, without, shifted, state.samples, state.stretches, own)
@@ -157,9 +155,6 @@ def _small(gram: FloatArray, ridge: float) -> FloatArray:
 
 
 UNKNOWNS = 3  # f11, f11 R0 and f11 2 lambda, in N, N mm and N
-MILLIMETRE = 1e-3
-LEAST_SHARE = 1e-9  # smallest to largest eigenvalue of scaled sums that still are solved
-LEAST_STIFF = 0.2  # of the creep coefficient on file: below, the moments beside creep say too little
 TARGETS = ("yaw_stiffness", "yaw_inertia", "spin_creep", "saturation")  # what is uncertain beside f11
 
 
@@ -197,7 +192,7 @@ class KnownIrregularity:
         if isinstance(span, Reason) or reason is not None:
             assert reason is not None  # it is ``span``
             return nothing(reason, state.parameters, state.samples, state.stretches)
-        x = np.linspace(*span, round((span[1] - span[0]) / SPACING) + 1)
+        x = np.linspace(*span, round((span[1] - span[0]) / RIVALS.curve_spacing) + 1)
         gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
         theta = np.linalg.solve(gram, cross)
         value = _line(x, theta[:, 0])
@@ -232,16 +227,16 @@ def equations(motion: Motion, vehicle: VehicleParameters) -> tuple[FloatArray, F
 
 
 def _refusal(state: SeriesState, groups: int) -> Reason | None:
-    if groups < FEWEST_GROUPS:
+    if groups < RIVALS.fewest_groups:
         return too_few_blocks(groups)
     gram = state.gram.sum(axis=0)
     size = np.sqrt(np.diag(gram))
     eigenvalues = np.linalg.eigvalsh(gram / np.outer(size, size))
-    if eigenvalues[0] < LEAST_SHARE:
+    if eigenvalues[0] < RIVALS.least_eigenvalue_share:
         return Reason(ReasonCode.NOT_FINITE, "yaw rate and displacement are proportional")
     creep = float(np.linalg.solve(gram, state.cross.sum(axis=0)[:, 0])[0])
     share = creep / state.parameters.vehicle.longitudinal_creep_coefficient
-    if LEAST_STIFF < share < 1.0 / LEAST_STIFF:
+    if RIVALS.least_creep_share < share < 1.0 / RIVALS.least_creep_share:
         return None
     return Reason(ReasonCode.DIVERGED, f"the creep coefficient comes out as {share:.2f} times that on file")
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel, zero_crossing
+from estimation.geometry.parameters import PRIORS
 from estimation.geometry.sharpening import (
     FREE,
     ContactRoll,
@@ -26,19 +27,9 @@ from estimation.values.geometry import Centre, CentreOrigin
 from estimation.values.quantities import Estimate, jackknife_std, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 
-FEWEST_NODES = 5
-FEWEST_GROUPS = 4
-LARGEST_STD = 0.1  # of a conicity that is published: wheelsets in service have 0.02 to 0.6
-LARGEST_SHARE = 0.25  # or relative to the conicity: one of 0.57 within 0.28 may be far over its limit
-BLUR_SHARE = 0.3  # of what sharpening changes: what is not known of it
-SLOW_STD = 0.1e-3  # m, of what the high-pass takes from y - d: the slow motion of the wheelset itself
-ALIKE_SHARE = 0.15  # of the part of R that is alike on both sides: what the high-pass makes of it
-ALIKE_REACH = 3e-3  # m of y - d: wheelsets hardly run further
-ALIKE_POINTS = 61
 NO_AMPLITUDE = Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "no amplitude is covered")
 NO_OFFSET = Reason(ReasonCode.OFFSET_NOT_OBSERVABLE, "band-limited signals carry no offset")
 NO_ZERO = Reason(ReasonCode.NO_ZERO_CROSSING, "rL - rR has no zero in the range covered")
-INDEPENDENT = 0.8  # share of what is systematic at one end of NP that is not at the other
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +40,14 @@ class CurveParameters:
     reference_amplitude: float = 3.0e-3  # m
     nonlinearity_low: float = 2.0e-3  # m
     nonlinearity_high: float = 4.0e-3  # m
+    fewest_nodes: int = 5
+    largest_share: float = 0.25  # or relative to the conicity: one of 0.57 within 0.28 may be far over its limit
+    blur_share: float = 0.3  # of what sharpening changes: what is not known of it
+    slow_std: float = 0.1e-3  # m, of what the high-pass takes from y - d: the slow motion of the wheelset itself
+    even_share: float = 0.15  # of the part of R that is alike on both sides: what the high-pass makes of it
+    even_reach: float = 3e-3  # m of y - d: wheelsets hardly run further
+    even_points: int = 61
+    independent_share: float = 0.8  # share of what is systematic at one end of NP that is not at the other
 
 
 _Row = tuple[FloatArray, FloatArray]  # displacement (k,), rolling radius difference (k,)
@@ -89,16 +88,16 @@ class CurveEstimates:
 def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> CurveEstimates:
     """Return conicity by amplitude, NP (1/mm) and the zero crossing, each with its interval or its reason."""
     amplitude = np.array(parameters.amplitudes)
-    run = _run_around_zero(curve)
+    run = _run_around_zero(curve, parameters)
     groups = len(curve.difference) - 1
-    if run is None or groups < FEWEST_GROUPS:
+    if run is None or groups < PRIORS.fewest_groups:
         few_bins = Reason(ReasonCode.TOO_FEW_BINS, "too few bins around the centre have samples")
-        unknown = Estimate.unknown(too_few_blocks(groups) if groups < FEWEST_GROUPS else few_bins, curve.count)
+        unknown = Estimate.unknown(too_few_blocks(groups) if groups < PRIORS.fewest_groups else few_bins, curve.count)
         return CurveEstimates(
             amplitude, (unknown,) * len(amplitude), parameters.reference_amplitude, unknown, unknown, unknown
         )
-    rows, values = _rows(curve, run, amplitude)
-    conicity = tuple(_conicity(values[:, k], groups, curve.count, a) for k, a in enumerate(amplitude))
+    rows, values = _rows(curve, run, amplitude, parameters)
+    conicity = tuple(_conicity(values[:, k], groups, curve.count, a, parameters) for k, a in enumerate(amplitude))
     at_reference, reported_amplitude = at_reference_amplitude(amplitude, conicity, parameters)
     nonlinearity = _nonlinearity(amplitude, values, groups, curve.count, parameters)
     crossing = Estimate.unknown(NO_OFFSET, curve.count)
@@ -123,7 +122,7 @@ def not_covered(amplitude: float) -> Reason:
 
 def too_few_blocks(groups: int) -> Reason:
     """Return that there are too few blocks of running time for an interval."""
-    return Reason(ReasonCode.TOO_FEW_BLOCKS, f"{groups} blocks of data, {FEWEST_GROUPS} are needed")
+    return Reason(ReasonCode.TOO_FEW_BLOCKS, f"{groups} blocks of data, {PRIORS.fewest_groups} are needed")
 
 
 def _nonlinearity(
@@ -135,12 +134,12 @@ def _nonlinearity(
     low, high = (values[:, int(np.argmin(np.abs(amplitude - a)))] for a in ends)
     per_mm = 1.0 / (1e3 * (ends[1] - ends[0]))
     far = slice(groups + 1, None)
-    systematic = INDEPENDENT * np.concatenate([high[far] - high[0], low[far] - low[0]])
+    systematic = parameters.independent_share * np.concatenate([high[far] - high[0], low[far] - low[0]])
     both = np.concatenate([high[: groups + 1] - low[: groups + 1], high[0] - low[0] + systematic])
     return _estimate(per_mm * both, groups, count, not_covered(ends[1]))
 
 
-def _run_around_zero(curve: CurveReplicates) -> BoolArray | None:
+def _run_around_zero(curve: CurveReplicates, parameters: CurveParameters) -> BoolArray | None:
     usable = curve.usable & np.isfinite(curve.difference).all(axis=(0, 2))
     centre = int(np.argmin(np.abs(curve.edges[:-1] + curve.edges[1:])))
     if not usable[centre]:
@@ -149,10 +148,12 @@ def _run_around_zero(curve: CurveReplicates) -> BoolArray | None:
     right = centre + int(np.argmin(np.append(usable[centre:], False)))
     run = np.zeros(len(usable), dtype=np.bool_)
     run[left + 1 : right] = True
-    return run if run.sum() >= FEWEST_NODES else None
+    return run if run.sum() >= parameters.fewest_nodes else None
 
 
-def _rows(curve: CurveReplicates, run: BoolArray, amplitude: FloatArray) -> tuple[list[_Row], FloatArray]:
+def _rows(
+    curve: CurveReplicates, run: BoolArray, amplitude: FloatArray, parameters: CurveParameters
+) -> tuple[list[_Row], FloatArray]:
     """Return the curve from all data, each group left out, each systematic uncertainty; and conicities (1 + g + k, a).
 
     The error of the displacement (std e) flattens the curve: a large measured displacement is too large on average,
@@ -160,7 +161,7 @@ def _rows(curve: CurveReplicates, run: BoolArray, amplitude: FloatArray) -> tupl
     """
     low, high = curve.edges[:-1][run], curve.edges[1:][run]
     nodes = np.stack([nodes_of(shape[run]) for shape in curve.difference])
-    slow = SLOW_STD if curve.band_limited else 0.0
+    slow = parameters.slow_std if curve.band_limited else 0.0
     sharp = sharpen(low, high, nodes[0], jackknife_std(nodes), float(np.hypot(curve.error.blur, slow)))
     x = (1 - curve.error.excess) * sharp.displacement
     shifted = nodes[0] + nodes_of(np.moveaxis(curve.sensitivity[run], 1, -1)).T  # (k, m)
@@ -168,12 +169,12 @@ def _rows(curve: CurveReplicates, run: BoolArray, amplitude: FloatArray) -> tupl
     conicity = np.stack([equivalent_conicity(*row, amplitude) for row in rows])
     plain = (1 - curve.error.excess) * edges_and_centres(low, high)
     blurred = curve.row(plain, replace(curve.error, std=sharp.left).rounded(plain, nodes[0]))
-    others = _systematic(curve.error, sharp, rows[0], blurred, amplitude)
+    others = _systematic(curve.error, sharp, rows[0], blurred, amplitude, parameters)
     unseen = np.zeros((2, len(amplitude)))
     if curve.band_limited:
         known = conicity[0][np.isfinite(conicity[0])]
         std = held_difference_std(curve.held_shares, float(known[-1])) if len(known) else 0.0
-        unseen[0] = _lost_to_filters(*rows[0], amplitude)
+        unseen[0] = _lost_to_filters(*rows[0], amplitude, parameters=parameters)
         if std > 0.0:  # of a difference of diameters that nobody knows of
             unseen[1] = moved_off(*rows[0], amplitude, std)
     of_standard, difference = rows[0]
@@ -182,17 +183,24 @@ def _rows(curve: CurveReplicates, run: BoolArray, amplitude: FloatArray) -> tupl
     return [*rows, (of_standard / (1 - curve.error.excess), difference), stretched], conicities
 
 
-def _lost_to_filters(x: FloatArray, curve: FloatArray, amplitude: FloatArray) -> FloatArray:
+def _lost_to_filters(
+    x: FloatArray, curve: FloatArray, amplitude: FloatArray, parameters: CurveParameters
+) -> FloatArray:
     """Return what the high-pass changes of the conicity (a,) where left and right wheel are unlike."""
     # the part of R that is alike on both sides of the centre grows and falls with the amplitude; what is slow of that
     # is lost, and comes back as an error of R of some share of it
-    beside = np.linspace(0.0, min(-x[0], x[-1], ALIKE_REACH), ALIKE_POINTS)
+    beside = np.linspace(0.0, min(-x[0], x[-1], parameters.even_reach), parameters.even_points)
     alike = 0.5 * (np.interp(beside, x, curve) + np.interp(-beside, x, curve)) - np.interp(0.0, x, curve)
-    return np.asarray(ALIKE_SHARE * np.mean(np.abs(alike)) / (2.0 * amplitude))
+    return np.asarray(parameters.even_share * np.mean(np.abs(alike)) / (2.0 * amplitude))
 
 
 def _systematic(
-    error: DisplacementError, sharp: Sharpening, row: _Row, blurred: _Row, amplitude: FloatArray
+    error: DisplacementError,
+    sharp: Sharpening,
+    row: _Row,
+    blurred: _Row,
+    amplitude: FloatArray,
+    parameters: CurveParameters,
 ) -> FloatArray:
     """Return what each systematic error of the displacement changes of the conicity: (4, a)."""
     # As much as was taken back for the error stands for what remains unknown; half as much for the blur, or all that as
@@ -218,7 +226,7 @@ def _systematic(
     return np.stack(
         [
             equivalent_conicity(x / (1 - error.excess), curve, amplitude) - here,
-            (1.0 if sharp.left else BLUR_SHARE) * (equivalent_conicity(*blurred, amplitude) - here),
+            (1.0 if sharp.left else parameters.blur_share) * (equivalent_conicity(*blurred, amplitude) - here),
             widest(stretched, here),
             widest(displaced, here) if np.isfinite(middle) else np.zeros(len(here)),
         ]
@@ -233,7 +241,7 @@ def _estimate(values: FloatArray, groups: int, count: float, reason: Reason) -> 
     return with_interval(float(values[0]), jackknife, systematic, groups, count)
 
 
-def _conicity(values: FloatArray, groups: int, count: float, amplitude: float) -> Estimate:
+def _conicity(values: FloatArray, groups: int, count: float, amplitude: float, parameters: CurveParameters) -> Estimate:
     """Return the conicity at an amplitude (m) from its rows; unknown where its interval says nothing of a wheelset."""
     if np.isfinite(values[: groups + 1]).all() and np.isinf(values).any():
         text = f"the data leave the conicity at {1e3 * amplitude:g} mm open: the scale of y - d is not known"
@@ -241,7 +249,7 @@ def _conicity(values: FloatArray, groups: int, count: float, amplitude: float) -
     found = _estimate(values, groups, count, not_covered(amplitude))
     if found.value is None or found.high is None or found.std is None:
         return found
-    if found.std <= max(LARGEST_STD, LARGEST_SHARE * found.value):
+    if found.std <= max(PRIORS.largest_conicity_std, parameters.largest_share * found.value):
         return found
     text = f"the data leave the conicity at {1e3 * amplitude:g} mm open by {found.high - found.value:.2f} either way"
     return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), count)

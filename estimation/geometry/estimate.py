@@ -23,16 +23,7 @@ from estimation.values.geometry import BinStatus, BinTable, BinValues, Contradic
 from estimation.values.quantities import jackknife_std, leave_one_out, normal_equivalent
 from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS, angle_difference_derivatives
 
-FEWEST_GROUPS = 4
-FEWEST_BINS = 5
-
-# Samples that say as much as one would of the scales of sensors and of their angle: errors of y - d last, and look
-# like scales; they do not look like roll.
-COUNTED_AS_ONE = (10_000.0, 10_000.0, 1_000.0)
 NOISE, DISPLACEMENT_NOISE = YAW_TARGETS.index("noise"), YAW_TARGETS.index("displacement_noise")
-
-HIDDEN_JUMP_SHARE = 0.5  # of the error of y - d, by which contact jumps are off where it is hidden
-HIDDEN_SHARE = 0.5  # of the residual's variance that sensor noise may make up, for the rest to show the error of y - d
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +39,13 @@ class GeometryParameters:
     prior_angle: float = 0.15  # rad, std of A and D known beforehand
     informative: float = 0.5  # publish below this share of the prior std
     curve: CurveParameters = field(default_factory=CurveParameters)
+    fewest_groups: int = 4
+    fewest_bins: int = 5
+    # Samples that say as much as one would of the scales of sensors and of their angle: errors of y - d last, and look
+    # like scales; they do not look like roll.
+    counted_as_one: tuple[float, float, float] = (10_000.0, 10_000.0, 1_000.0)
+    hidden_jump_share: float = 0.5  # of the error of y - d, by which contact jumps are off where it is hidden
+    hidden_share: float = 0.5  # of the residual's variance by sensor noise, for the rest to show the error of y - d
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,11 +92,11 @@ def contradictions(
     table: BinTable, bins: BinParameters, uncertainty: ParameterUncertainty
 ) -> tuple[Contradiction, ...]:
     """Return what the samples contradict of the vehicle's class and the track; nothing where they are few."""
-    fit = model_fit(table, bins, _expected_noise(table, bins, uncertainty))
+    fit = model_fit(table, bins, _expected_noise(table, bins, uncertainty), uncertainty=uncertainty)
     stds = (uncertainty.stiffness, uncertainty.creep)
     if fit is None:
         return ()
-    found = (mismatch(fit, *stds, in_bogie=bins.wheelbase is not None), displaced(fit))
+    found = (mismatch(fit, *stds, in_bogie=bins.wheelbase is not None, uncertainty=uncertainty), displaced(fit))
     return tuple(one for one in found if one is not None)
 
 
@@ -116,12 +114,12 @@ def _screened(
     table: BinTable, replicates: _Replicates, bins: BinParameters, parameters: GeometryParameters
 ) -> _BinScreening:
     samples = table.weight.sum(axis=0)
-    too_few = (samples < parameters.least_samples) | (replicates.groups_in_bin < FEWEST_GROUPS)
+    too_few = (samples < parameters.least_samples) | (replicates.groups_in_bin < parameters.fewest_groups)
     jump = ~too_few & _jumps(replicates, too_few, parameters)
     unc = parameters.uncertainty
     centre = table.centres
     expected = _expected_noise(table, bins, unc)
-    noise, hidden = _displacement_noise(replicates, too_few | jump, bins, expected)
+    noise, hidden = _displacement_noise(replicates, too_few | jump, bins, expected, parameters)
     error = DisplacementError.of(
         noise,
         centre,
@@ -129,7 +127,7 @@ def _screened(
         integrated=bins.band_limited,
         scale=unc.displacement,
         jump_position_std=unc.jump_position_std,
-        jump_mean_std=float(np.hypot(unc.jump_mean_std, HIDDEN_JUMP_SHARE * noise if hidden else 0.0)),
+        jump_mean_std=float(np.hypot(unc.jump_mean_std, parameters.hidden_jump_share * noise if hidden else 0.0)),
     )
     return _BinScreening(too_few, jump, centre, error, parameters.informative)
 
@@ -166,7 +164,7 @@ def _replicates(table: BinTable, bins: BinParameters, parameters: GeometryParame
         by_scales = np.zeros((b, REGRESSORS - 1, 0))
     else:
         stds = parameters.uncertainty.of_bogie
-        yaw, by_scales = solve_with_shared_scales(sums, weight, size, len(YAW_TARGETS), stds, COUNTED_AS_ONE)
+        yaw, by_scales = solve_with_shared_scales(sums, weight, size, len(YAW_TARGETS), stds, parameters.counted_as_one)
     own = yaw.theta.reshape(len(weight), b, size, len(YAW_TARGETS))[:, :, size - REGRESSORS :]
     vehicle = bins.vehicle
     per_metre = vehicle.half_contact_distance * vehicle.longitudinal_creep_coefficient / vehicle.nominal_radius
@@ -193,7 +191,7 @@ def _jumps(replicates: _Replicates, too_few: BoolArray, parameters: GeometryPara
 
 
 def _displacement_noise(
-    replicates: _Replicates, out: BoolArray, bins: BinParameters, expected: float
+    replicates: _Replicates, out: BoolArray, bins: BinParameters, expected: float, parameters: GeometryParameters
 ) -> tuple[float, bool]:
     """Return the std of the error of y - d, m, from residual over slope where that is least, and whether it is hidden.
 
@@ -206,14 +204,14 @@ def _displacement_noise(
     of_sensors = np.maximum(replicates.yaw[0, :, 1, NOISE], 0.0)  # m2, of rL - rR
     residual = np.sqrt(np.maximum(replicates.residual**2 - of_sensors, 0.0))
     use = ~out & np.isfinite(slope) & np.isfinite(residual)
-    if use.sum() < FEWEST_BINS:
+    if use.sum() < parameters.fewest_bins:
         return 0.0, False
     steep = use & (slope >= np.median(slope[use]))
     least = float(np.quantile(residual[steep] / slope[steep], 0.25) / np.sqrt(2.0))
     most = float(np.linalg.norm(residual[use]) / max(float(np.linalg.norm(slope[use])), 1e-300))
     shown = max(least, min(most, expected))
-    hidden = float(np.median(of_sensors[use] / np.maximum(replicates.residual[use] ** 2, 1e-300))) > HIDDEN_SHARE
-    return (max(shown, expected), True) if hidden else (shown, False)
+    share = float(np.median(of_sensors[use] / np.maximum(replicates.residual[use] ** 2, 1e-300)))
+    return (max(shown, expected), True) if share > parameters.hidden_share else (shown, False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,8 +27,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.geometry.uncertainty import MOUNTING_STD
-from estimation.motion.rolling_sums import BANDS, UNKNOWNS
+from estimation.geometry.uncertainty import MOUNTING_STD, ParameterUncertainty
+from estimation.motion.parameters import MOTION
+from estimation.motion.rolling_sums import UNKNOWNS
 from estimation.tables.bin_table import BinParameters, Solution, inverses, unpack
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import BinTable, Contradiction
@@ -37,7 +38,35 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.roll_up import RollingSums
 from estimation.vehicle.regressors import REGRESSORS, YAW_TARGETS
 
-SMALLEST = 1e-200  # variance, so that without any sample the shared coefficients are zero
+
+@dataclass(frozen=True, slots=True)
+class RollingFitParameters:
+    """When the motion contradicts a rolling radius on file."""
+
+    smallest_variance: float = 1e-200  # variance, so that without any sample the shared coefficients are zero
+    most_displacement_error: float = 0.2  # of the power of y - d: what the interval of a curve allows for
+    most_widening: float = 2.0  # std of a conicity over itself by it
+    weight_rounds: int = 4  # of weights that follow from what is left
+    outlying_factor: float = 2.0  # times the median of the bands' rest over the noise: a band with more is left out
+    short_bands: int = 2  # those of the shortest wavelengths, in which vibration shows
+    model_radius_std: float = 5e-3  # m: without noise right radii are found 1 % too small
+    radius_noise_doubt: float = 0.1  # of what taking off the noise changes
+    noise_doubt_left: float = 0.6  # the same, per noise that is left in all bands beyond that on file
+    noise_doubt_vibrating: float = 0.4  # the same on axle boxes that vibrate
+    friction_share: float = 0.3  # of the radius, per share by which the suspension moves more than on dry rails
+    scale_share: float = 0.5  # of the radius, per scale of yaw against lateral sensor that sensors do not have
+    most_unexplained_share: float = 0.2  # of the power of what the roll moves: beyond, contact jumps move the wheelset
+    fewest_parts: int = 8
+    doubted_stds: float = 2.0  # stds beyond which the radius on file is in doubt: right ones have 0.6 rms, at most 2.5
+    radius_mistake: float = 0.10  # of the radius on file, that the motion excludes: worn wheels on file as new ones
+    certain_stds: float = 4.0  # beyond which it is another: hundreds of wheelsets are looked at every 15 minutes
+    expected_unknowns: tuple[float, ...] = (1.0, 0.0, 1.0, 1.0, 1.0, 0.0)  # of the unknowns; nothing of the radius
+    # gravity and curve stand for dL - dR, 100 times as large
+    expected_unknown_stds: tuple[float, ...] = (0.01, 10.0, 0.1, 0.1, 300.0, 300.0)
+
+
+ROLLING = RollingFitParameters()
+EXPECTED, EXPECTED_STD = np.array(ROLLING.expected_unknowns), np.array(ROLLING.expected_unknown_stds)
 
 
 def solve_with_shared_scales(
@@ -74,7 +103,7 @@ def solve_with_shared_scales(
     right = np.where(known_bins, cross[:, :, :q, :] - coupling @ alone, 0.0).sum(axis=1)
     unshared = np.maximum(square - np.einsum("rbi,rbi->rb", alone[..., 0], cross[:, :, q:, 0]), 0.0)
     freedom = np.maximum(np.where(solvable, weight - (p - q), 0.0).sum(axis=1), 1.0)
-    variance = np.maximum(np.where(solvable, unshared, 0.0).sum(axis=1) / freedom, SMALLEST)
+    variance = np.maximum(np.where(solvable, unshared, 0.0).sum(axis=1) / freedom, ROLLING.smallest_variance)
     counted = np.ones(q) if counted_as_one is None else np.asarray(counted_as_one)
     known = variance[:, None, None] * np.diag(counted / np.square(prior_stds))
     common = np.linalg.solve(left + known, right)[:, None]
@@ -97,23 +126,6 @@ def solve_with_shared_scales(
     return solution, np.asarray(moved)
 
 
-SENSOR_SCALE = 0.02  # std of the spring error by the scales of the sensors
-SENSORS_IN_BOGIE = 0.06  # the same in a bogie: scales, angles and clocks of three sensors, and creep near saturation
-SHARE_IN_BOGIE = 0.5  # of an error of stiffness or creep that shows as spring error; the curve takes up the rest
-SEEN_IN_BOGIE = 0.4  # of an error of the conicity by a class that is wrong: the curve takes up more the larger it is
-UNSEEN_SHARE = 0.06  # of the power of noise over that of a yaw that no curve explains: std of the spring error by it
-DOUBTED_STDS = 1.8  # of the spring error, beyond which the class is in doubt: right ones have 0.5 rms, at most 1.6
-CERTAIN_STDS = 2.2  # beyond which it is another: four times the rms of right ones
-DOUBTED_MISFIT = 0.55  # right classes on measured wheels and on gauge that varies unknown have up to 0.51
-CERTAIN_MISFIT = 0.65
-MISFIT_SHARE = 0.5  # of the square of the misfit: by how much it may spoil the conicity
-NOISE_DOUBT = 0.5  # of the variance that sensor noise makes: sensors may be as much worse than on file
-MOST_DISPLACEMENT_ERROR = 0.2  # of the power of y - d: what the interval of a curve allows for
-MOST_WIDENED = 2.0  # std of a conicity over itself by it
-LEAST_SAMPLES = 200.0  # of a bin
-FEWEST_BINS = 5
-FREE = 1e6  # std of what nothing is known of beforehand
-STRAIGHT = 1e-8  # rad, std of the angle for the spring error: it is that of sensors that are not turned
 _NOISE = YAW_TARGETS.index("noise")
 
 
@@ -127,23 +139,26 @@ class ModelFit:
     displacement_error: float = 0.0  # share of the power of y - d that sensors and track make: so much is no misfit
 
 
-def model_fit(table: BinTable, bins: BinParameters, expected_noise: float = 0.0) -> ModelFit | None:
+def model_fit(
+    table: BinTable, bins: BinParameters, expected_noise: float = 0.0, *, uncertainty: ParameterUncertainty
+) -> ModelFit | None:
     """Return how well a table follows the yaw equation, y - d off by the expected noise, m; None with few samples."""
     p = bins.vehicle
     present = table.weight.sum(axis=1) > 0
     weight, sums = leave_one_out(table.weight, present), leave_one_out(table.yaw, present)
-    used = weight[0] >= LEAST_SAMPLES
-    if used.sum() < FEWEST_BINS or present.sum() < FEWEST_BINS:
+    used = weight[0] >= uncertainty.least_samples
+    if used.sum() < uncertainty.fewest_bins or present.sum() < uncertainty.fewest_bins:
         return None
     in_bogie = bins.wheelbase is not None
-    priors = (SENSOR_SCALE, SENSOR_SCALE, MOUNTING_STD) if in_bogie else (FREE,)
+    priors = (uncertainty.sensor_scale, uncertainty.sensor_scale, MOUNTING_STD) if in_bogie else (uncertainty.free_std,)
     shared = len(priors)
     regressors = shared + REGRESSORS - 1
     moments = sums[:, used], weight[:, used], regressors, len(YAW_TARGETS)
     solved, _ = solve_with_shared_scales(*moments, priors)
     theta = solved.theta.reshape(len(weight), int(used.sum()), regressors, len(YAW_TARGETS))
     unit = 1.0 if in_bogie else 0.5 * p.half_contact_distance * p.load / p.yaw_stiffness
-    of_spring = solve_with_shared_scales(*moments, (*priors[:2], STRAIGHT))[0].theta if in_bogie else solved.theta
+    straight = (*priors[:2], uncertainty.straight_std)
+    of_spring = solve_with_shared_scales(*moments, straight)[0].theta if in_bogie else solved.theta
     errors = unit * np.nanmedian(of_spring.reshape(theta.shape)[:, :, 0, 0], axis=1)
     per_metre = p.half_contact_distance * p.longitudinal_creep_coefficient / p.nominal_radius
     counts = weight[0, used]
@@ -154,8 +169,8 @@ def model_fit(table: BinTable, bins: BinParameters, expected_noise: float = 0.0)
         return None
     error = _displacement_error(table, used, expected_noise)
     alone = _alone(sums[0, used], regressors, shared) / counts.sum() / (unit * per_metre) ** 2
-    unseen = UNSEEN_SHARE * (max(of_noise, 0.0) + error * whole) / max(alone, np.finfo(np.float64).tiny)
-    unexplained = max(left - (1.0 + NOISE_DOUBT) * of_noise, 0.0)
+    unseen = uncertainty.unseen_share * (max(of_noise, 0.0) + error * whole) / max(alone, np.finfo(np.float64).tiny)
+    unexplained = max(left - (1.0 + uncertainty.noise_doubt) * of_noise, 0.0)
     std = math.hypot(float(jackknife_std(errors)), unseen)
     return ModelFit(float(errors[0]), std, math.sqrt(unexplained / whole), error)
 
@@ -174,42 +189,51 @@ def _alone(packed: FloatArray, regressors: int, shared: int) -> float:
     return float(np.maximum(gram[:, 0, 0] - explained, 0.0).sum())
 
 
-def mismatch(fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie: bool) -> Contradiction | None:
+def mismatch(
+    fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie: bool, uncertainty: ParameterUncertainty
+) -> Contradiction | None:
     """Return what of the class does not fit, and how sure that is; None where it fits."""
-    return _spring_differs(fit, stiffness_std, creep_std, in_bogie=in_bogie) or _unexplained(fit)
+    return _spring_differs(fit, stiffness_std, creep_std, in_bogie=in_bogie, uncertainty=uncertainty) or _unexplained(
+        fit, uncertainty
+    )
 
 
 def displaced(fit: ModelFit) -> Contradiction | None:
     """Return that sensors and track leave the lateral displacement open, which flattens the curve; None else."""
     share = fit.displacement_error
-    if share <= MOST_DISPLACEMENT_ERROR:
+    if share <= ROLLING.most_displacement_error:
         return None
     text = (
         f"{share:.0%} of the power of the lateral displacement are errors of the alignment on file and of the sensors,"
-        f" {MOST_DISPLACEMENT_ERROR:.0%} may be: the conicity may be too small by as much; survey the section again"
+        f" {ROLLING.most_displacement_error:.0%} may be: the conicity may be too small by as much;"
+        " survey the section again"
     )
-    relative = min(share / max(1.0 - share, 1e-9), MOST_WIDENED)
+    relative = min(share / max(1.0 - share, 1e-9), ROLLING.most_widening)
     return Contradiction(Reason(ReasonCode.CONICITY_OPEN, text), certain=False, relative=relative)
 
 
-def _spring_differs(fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie: bool) -> Contradiction | None:
-    share, of_sensors = (SHARE_IN_BOGIE, SENSORS_IN_BOGIE) if in_bogie else (1.0, SENSOR_SCALE)
-    seen = SEEN_IN_BOGIE if in_bogie else 1.0
+def _spring_differs(
+    fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie: bool, uncertainty: ParameterUncertainty
+) -> Contradiction | None:
+    share, seen, of_sensors = 1.0, 1.0, uncertainty.sensor_scale
+    if in_bogie:
+        share, seen, of_sensors = uncertainty.share_in_bogie, uncertainty.seen_in_bogie, uncertainty.sensors_in_bogie
     of_class = share * math.hypot(stiffness_std, creep_std)
     std = float(np.linalg.norm([fit.spring_error_std, of_sensors, of_class]))
-    if abs(fit.spring_error) <= DOUBTED_STDS * std:
+    if abs(fit.spring_error) <= uncertainty.doubted_stds * std:
         return None
-    certain = abs(fit.spring_error) > CERTAIN_STDS * std
+    certain = abs(fit.spring_error) > uncertainty.certain_stds * std
     text = (
         f"a moment of {fit.spring_error:+.0%} of the yaw spring's is not in the equations of the vehicle's class,"
-        f" {DOUBTED_STDS * std:.0%} may be, {CERTAIN_STDS * std:.0%} cannot be by chance;"
+        f" {uncertainty.doubted_stds * std:.0%} may be, {uncertainty.certain_stds * std:.0%} cannot be by chance;"
         " check class, wheelbase, order and scale of the nodes"
     )
     return Contradiction(Reason(ReasonCode.YAW_SPRING_DIFFERS, text), certain, min(abs(fit.spring_error) / seen, 1.0))
 
 
-def _unexplained(fit: ModelFit) -> Contradiction | None:
-    doubted, certain = (math.sqrt(most**2 + fit.displacement_error) for most in (DOUBTED_MISFIT, CERTAIN_MISFIT))
+def _unexplained(fit: ModelFit, uncertainty: ParameterUncertainty) -> Contradiction | None:
+    limits = uncertainty.doubted_misfit, uncertainty.certain_misfit
+    doubted, certain = (math.sqrt(most**2 + fit.displacement_error) for most in limits)
     if fit.misfit <= doubted:
         return None
     text = (
@@ -217,25 +241,8 @@ def _unexplained(fit: ModelFit) -> Contradiction | None:
         f" of the sensors, {doubted:.0%} may; check class, track and sensors"
     )
     reason = Reason(ReasonCode.MOTION_UNEXPLAINED, text)
-    return Contradiction(reason, fit.misfit > certain, MISFIT_SHARE * fit.misfit**2)
+    return Contradiction(reason, fit.misfit > certain, uncertainty.misfit_share * fit.misfit**2)
 
-
-EXPECTED = np.array([1.0, 0.0, 1.0, 1.0, 1.0, 0.0])  # of the unknowns; nothing is expected of the radius
-EXPECTED_STD = np.array([0.01, 10.0, 0.1, 0.1, 300.0, 300.0])  # gravity and curve stand for dL - dR, 100 times as large
-ROUNDS = 4  # of weights that follow from what is left
-OUTLYING = 2.0  # times the median of what is left in the bands, over the noise: a band with more is left out
-SHORT_BANDS = 2  # those of the shortest wavelengths, in which vibration shows
-MODEL_STD = 5e-3  # m: without noise right radii are found 1 % too small
-RADIUS_NOISE_DOUBT = 0.1  # of what taking off the noise changes
-NOISE_DOUBT_LEFT = 0.6  # the same, per noise that is left in all bands beyond that on file
-NOISE_DOUBT_VIBRATING = 0.4  # the same on axle boxes that vibrate
-FRICTION_SHARE = 0.3  # of the radius, per share by which the suspension moves the wheelset more than on dry rails
-SCALE_SHARE = 0.5  # of the radius, per scale of yaw against lateral sensor: more than sensors have is what is missing
-MOST_UNEXPLAINED = 0.2  # of the power of what the roll moves: beyond, contact jumps move the wheelset
-FEWEST_PARTS = 8
-DOUBTED = 2.0  # stds beyond which the radius on file is in doubt: right ones have 0.6 rms, at most 2.5
-MISTAKE = 0.10  # of the radius on file: what the motion has to exclude, as wheels worn out on file as new ones
-CERTAIN = 4.0  # beyond which it is another: hundreds of wheelsets are looked at every 15 minutes
 
 _SCALE, _RADIUS, _SUSPENSION, _CURVE = (UNKNOWNS.index(name) for name in ("scale", "radius", "suspension", "curve"))
 
@@ -254,22 +261,22 @@ def check_radius(
 ) -> Contradiction | None:
     """Return that the motion contradicts the nominal radius on file, or leaves it open; None where it confirms it.
 
-    A radius that nobody measured and that the motion does not tell from one off by ``MISTAKE`` stands beside the
+    A radius that nobody measured and that the motion does not tell from one off by ``radius_mistake`` stands beside the
     number as a doubt; one that was ``measured`` stands against another measurement, a doubt too. Few data say nothing.
     """
-    if len(parts) < FEWEST_PARTS:
+    if len(parts) < ROLLING.fewest_parts:
         return None
     found = rolling_radius(parts)
     if found is None:
         return None if measured else _open(on_file, "the motion does not show the radius on which the wheelset rolls")
     std = math.hypot(found.std, relative_std * on_file)
     stds = abs(found.value - on_file) / std
-    if stds <= DOUBTED:
-        if measured or stds + DOUBTED <= MISTAKE * on_file / std:
+    if stds <= ROLLING.doubted_stds:
+        if measured or stds + ROLLING.doubted_stds <= ROLLING.radius_mistake * on_file / std:
             return None
         by_motion = f"{1e3 * found.value:.0f} mm (std {1e3 * found.std:.0f} mm)"
         return _open(on_file, f"the motion shows the radius on which the wheelset rolls as {by_motion}")
-    certain = stds > CERTAIN and not measured
+    certain = stds > ROLLING.certain_stds and not measured
     reason = Reason(
         ReasonCode.ROLLING_RADIUS_DIFFERS,
         f"the wheelset rolls as on wheels of {1e3 * found.value:.0f} mm radius (std {1e3 * found.std:.0f} mm),"
@@ -281,15 +288,16 @@ def check_radius(
 
 def _open(on_file: float, shown: str) -> Contradiction:
     text = (
-        f"{shown}, which does not confirm the {1e3 * on_file:.0f} mm on file: a radius {MISTAKE:.0%} off moves the"
-        f" conicity by {MISTAKE:.0%}; put its std on file, as measured or as wheels wear"
+        f"{shown}, which does not confirm the {1e3 * on_file:.0f} mm on file: a radius"
+        f" {ROLLING.radius_mistake:.0%} off moves the conicity by {ROLLING.radius_mistake:.0%};"
+        " put its std on file, as measured or as wheels wear"
     )
     return Contradiction(Reason(ReasonCode.ROLLING_RADIUS_OPEN, text), certain=False, relative=0.0)
 
 
 def rolling_radius(parts: Sequence[RollingSums]) -> RollingRadius | None:
     """Return the radius on which a wheelset rolls; None where the data do not determine it."""
-    if len(parts) < FEWEST_PARTS:
+    if len(parts) < ROLLING.fewest_parts:
         return None
     products = np.array([one.products for one in parts])
     noise = np.array([one.noise for one in parts])
@@ -304,35 +312,35 @@ def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
     taken_off = noise.copy()
     # curve and gravity are one where contact is straight: its noise is what keeps them apart there
     taken_off[..., 1 + _CURVE, 1 + _CURVE] = 0.0
-    with_noise = _solution(_weighted(np.ones(BANDS), total))
+    with_noise = _solution(_weighted(np.ones(MOTION.wavelength_bands), total))
     share = min(1.0, float(np.min(_left(total, of_noise, with_noise))))  # sensors may be better than on file
-    weights = np.ones(BANDS)
-    left = np.ones(BANDS)
+    weights = np.ones(MOTION.wavelength_bands)
+    left = np.ones(MOTION.wavelength_bands)
     without_noise = products - share * taken_off
     by_band = without_noise.sum(axis=0)
-    for _ in range(ROUNDS):
+    for _ in range(ROLLING.weight_rounds):
         left = _left(total, of_noise, _solution(_weighted(weights, by_band)))
-        weights = (left <= OUTLYING * np.median(left)) / np.maximum(left, 1.0)
+        weights = (left <= ROLLING.outlying_factor * np.median(left)) / np.maximum(left, 1.0)
     sums = np.einsum("b,pbij->pij", weights, without_noise)
     whole = sums.sum(axis=0)
     information = whole[1:, 1:] + np.diag(1.0 / EXPECTED_STD**2)
     if np.linalg.eigvalsh(information)[0] <= 0.0:
         return None
     best = _solution(whole)
-    if best[_RADIUS] <= 0.0 or _unexplained_share(whole, best) > MOST_UNEXPLAINED:
+    if best[_RADIUS] <= 0.0 or _unexplained_share(whole, best) > ROLLING.most_unexplained_share:
         return None
     replicates = np.array([best, *(_solution(whole - one) for one in sums)])
     bound = math.sqrt(float(np.linalg.inv(information)[_RADIUS, _RADIUS]))
     corrected = best[_RADIUS] - _solution(_weighted(weights, total))[_RADIUS]
     sampling = float(normal_equivalent(jackknife_std(replicates), len(sums))[_RADIUS])
-    vibrating = bool((left[-SHORT_BANDS:] > OUTLYING * np.median(left)).any())
-    doubt = NOISE_DOUBT_VIBRATING if vibrating else RADIUS_NOISE_DOUBT
+    vibrating = bool((left[-ROLLING.short_bands :] > ROLLING.outlying_factor * np.median(left)).any())
+    doubt = ROLLING.noise_doubt_vibrating if vibrating else ROLLING.radius_noise_doubt
     stds = [
         max(sampling, bound, _std_of_bands(weights, by_band)),
-        MODEL_STD,
-        (doubt + NOISE_DOUBT_LEFT * max(float(left.min()) - 1.0, 0.0)) * corrected,
-        FRICTION_SHARE * best[_RADIUS] * max(best[_SUSPENSION] - 1.0, 0.0),
-        SCALE_SHARE * best[_RADIUS] * abs(best[_SCALE] - 1.0),
+        ROLLING.model_radius_std,
+        (doubt + ROLLING.noise_doubt_left * max(float(left.min()) - 1.0, 0.0)) * corrected,
+        ROLLING.friction_share * best[_RADIUS] * max(best[_SUSPENSION] - 1.0, 0.0),
+        ROLLING.scale_share * best[_RADIUS] * abs(best[_SCALE] - 1.0),
     ]
     return RollingRadius(float(best[_RADIUS]), float(np.linalg.norm(stds)), bound)
 

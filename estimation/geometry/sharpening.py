@@ -46,13 +46,40 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import ndtr
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
-from estimation.motion.integration import HIDDEN_SHARE
+from estimation.motion.parameters import MOTION
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
-from estimation.values.quantities import NORMAL_95
-from estimation.vehicle.vehicle_class import RAIL_HEAD_RADIUS, VehicleClass
+from estimation.values.memory import MEMORY
+from estimation.values.units import NORMAL_95
+from estimation.vehicle.parameters import VEHICLE
+from estimation.vehicle.vehicle_class import VehicleClass
 
-HELD_SLACK = 1e-12  # of the largest gradient: below, an unknown that is held at 0 stays there
-PATIENCE = 3  # exchanges of all without fewer on the wrong side, before it is one at a time
+
+@dataclass(frozen=True, slots=True)
+class SharpeningParameters:
+    """How what filters have blurred is undone."""
+
+    held_gradient_share: float = 1e-12  # of the largest gradient: below, an unknown that is held at 0 stays there
+    patient_exchanges: int = 3  # exchanges of all without fewer on the wrong side, before it is one at a time
+    bin_cells: int = 8  # in a bin
+    least_node_std: float = 5e-6  # m of a node: blurs are not quite normal
+    least_roughness: float = 0.25  # std that slopes differ by from cell to cell; a contact jump has 2 to 10
+    blur_roughness: float = 2.5e3  # 1/m, the same per blur: the longer it is, the less of the slopes is known
+    most_misfit_rms: float = 1.0  # rms, in std of the nodes
+    blur_shares: tuple[float, ...] = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)  # of the longest
+    bin_samples: int = 8  # in a bin, for its quadratic
+    reach_blurs: float = 3.0  # std of the blur that the cells go beyond the bins
+    search_steps: int = 200  # of the search for slopes; most end after ten
+    steep_factor: float = 2.0  # times the median slope: what is steeper is part of a jump
+    diameter_std: float = 0.3e-3  # m, left minus right wheel: EN 15313 allows 0.3 to 0.5 mm when turned, later 1 mm
+    held_slopes: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)  # lambda, twice the conicity
+    roll_per_displacement: float = 0.03  # rad/m, of phi_c, of any wheel
+    roll_per_radius: float = 0.3  # rad/m, of phi_c per R without its rises
+    crown_depth: float = 0.16  # m, below the rail head: about where a wheel turns that passes its crown
+
+
+SHARPENING = SharpeningParameters()
+STEPS = SHARPENING.search_steps
+SLOPES = SHARPENING.held_slopes
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +110,7 @@ def non_negative(gram: FloatArray, right: FloatArray, most: int) -> Bounded | No
     scale = 1.0 / np.sqrt(diagonal)
     matrix, wanted = gram * scale * scale[:, None], right * scale
     free = np.ones(len(right), dtype=np.bool_)
-    fewest, patience = len(right) + 1, PATIENCE
+    fewest, patience = len(right) + 1, SHARPENING.patient_exchanges
     for _ in range(most):
         places = np.flatnonzero(free)
         try:
@@ -95,7 +122,7 @@ def non_negative(gram: FloatArray, right: FloatArray, most: int) -> Bounded | No
         wrong = _wrong(value, matrix @ value - wanted, free)
         if not wrong.any():
             return Bounded(value * scale, places, scale, factor)
-        patience = PATIENCE if wrong.sum() < fewest else patience - 1
+        patience = SHARPENING.patient_exchanges if wrong.sum() < fewest else patience - 1
         fewest = min(fewest, int(wrong.sum()))
         last = np.arange(len(wrong)) == np.flatnonzero(wrong)[-1]
         free = free ^ (wrong if patience >= 0 else last)
@@ -104,21 +131,9 @@ def non_negative(gram: FloatArray, right: FloatArray, most: int) -> Bounded | No
 
 def _wrong(value: FloatArray, gradient: FloatArray, free: BoolArray) -> BoolArray:
     """Return which unknowns are negative, or would lower the sum if they were free; never the first one."""
-    wrong = np.where(free, value < 0.0, gradient < -HELD_SLACK * np.abs(gradient).max())
+    wrong = np.where(free, value < 0.0, gradient < -SHARPENING.held_gradient_share * np.abs(gradient).max())
     wrong[0] = False
     return wrong
-
-
-CELLS = 8  # in a bin
-LEAST_STD = 5e-6  # m of a node: blurs are not quite normal
-LEAST_ROUGHNESS = 0.25  # std that a change of the slope by 1 from cell to cell counts for; a contact jump has 2 to 10
-ROUGHNESS = 2.5e3  # 1/m, the same per blur: the longer it is, the less of the slopes is known
-MOST_MISFIT = 1.0  # rms, in std of the nodes
-BLURS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)  # of the longest that is to be expected
-SAMPLES = 8  # in a bin, for its quadratic
-REACH = 3.0  # std of the blur that the cells go beyond the bins
-STEPS = 200  # of the search for slopes; most end after ten
-_KEPT = 64  # operators: the bins and blurs of wheelsets are much alike
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,9 +174,9 @@ def sharpen(
         low, high: (b,) m, edges of adjoining bins of one width.
         nodes: (2 b + 1,) m, the curve at :func:`edges_and_centres`.
     """
-    weight = 1.0 / np.hypot(std, LEAST_STD)
+    weight = 1.0 / np.hypot(std, SHARPENING.least_node_std)
     least = min(0.0, 2.0 * float(np.min(np.diff(nodes[1::2]) / np.diff(low)))) if len(low) > 1 else 0.0
-    for share in BLURS:
+    for share in SHARPENING.blur_shares:
         found = _sharpen(low, high, nodes, weight, share * longest, least, steps)
         if found is not None:
             return found
@@ -175,16 +190,16 @@ def _sharpen(
 ) -> Sharpening | None:
     """Return how to take away a blur (m); None where no curve with slopes of at least ``least`` becomes these nodes."""
     width = float(high[0] - low[0])
-    step, beyond = width / CELLS, _beyond(width, blur)
+    step, beyond = width / SHARPENING.bin_cells, _beyond(width, blur)
     response = _response(len(low), width, blur)
     cells = response.shape[1]
     base = least * response.sum(axis=1)
     rows = weight[:, None] * np.column_stack([np.ones(len(nodes)), response])
     wanted = weight * (nodes - base)
     gram = rows.T @ rows
-    gram[1:, 1:] += max(LEAST_ROUGHNESS, ROUGHNESS * blur) ** 2 * _changes(cells)
+    gram[1:, 1:] += max(SHARPENING.least_roughness, SHARPENING.blur_roughness * blur) ** 2 * _changes(cells)
     found = non_negative(gram, rows.T @ wanted, steps)
-    if found is None or np.sqrt(np.mean((rows @ found.value - wanted) ** 2)) > MOST_MISFIT:
+    if found is None or np.sqrt(np.mean((rows @ found.value - wanted) ** 2)) > SHARPENING.most_misfit_rms:
         return None
     solved = found.linear(rows.T * weight)
     inside = slice(beyond, cells + 1 - beyond)
@@ -199,7 +214,7 @@ def _sharpen(
     )
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=MEMORY.sharpening_operators)
 def _changes(cells: int) -> FloatArray:
     """Return the normal matrix (cells, cells) of changes of the slope from cell to cell."""
     matrix = 2.0 * np.eye(cells) - np.eye(cells, k=1) - np.eye(cells, k=-1)
@@ -209,17 +224,17 @@ def _changes(cells: int) -> FloatArray:
 
 
 def _beyond(width: float, blur: float) -> int:
-    return max(CELLS, int(np.ceil(REACH * blur * CELLS / width)))
+    return max(SHARPENING.bin_cells, int(np.ceil(SHARPENING.reach_blurs * blur * SHARPENING.bin_cells / width)))
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=MEMORY.sharpening_operators)
 def _response(bins: int, width: float, blur: float) -> FloatArray:
     beyond = _beyond(width, blur)
-    edges = width / CELLS * (np.arange(CELLS * bins + 2 * beyond + 1) - beyond)
-    u = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
+    edges = width / SHARPENING.bin_cells * (np.arange(SHARPENING.bin_cells * bins + 2 * beyond + 1) - beyond)
+    u = (np.arange(SHARPENING.bin_samples) + 0.5) / SHARPENING.bin_samples - 0.5
     x = width * (np.arange(bins)[:, None] + 0.5 + u)
     ramp = _blurred_ramp(x.ravel()[:, None] - edges, blur)
-    curves = (ramp[:, :-1] - ramp[:, 1:]).reshape(bins, SAMPLES, -1)
+    curves = (ramp[:, :-1] - ramp[:, 1:]).reshape(bins, SHARPENING.bin_samples, -1)
     quadratic = np.linalg.pinv(np.vander(u, 3, increasing=True))
     response = nodes_of(np.einsum("kq,bqn->bkn", quadratic, curves))
     response.flags.writeable = False
@@ -234,9 +249,6 @@ def _blurred_ramp(x: FloatArray, blur: float) -> FloatArray:
     return np.asarray(x * ndtr(z) + blur / np.sqrt(2.0 * np.pi) * np.exp(-0.5 * z**2))
 
 
-STEEP = 2.0  # times the median slope: what is steeper is part of a jump
-
-
 def jumps_displaced(x: FloatArray, curve: FloatArray, middle: float, by: float) -> FloatArray:
     """Return a curve (n,) whose contact jumps are further from ``middle`` by ``by`` (m; negative: nearer)."""
     _, rises = split_at_rises(x, curve, middle)
@@ -246,7 +258,7 @@ def jumps_displaced(x: FloatArray, curve: FloatArray, middle: float, by: float) 
 def split_at_rises(x: FloatArray, curve: FloatArray, middle: float) -> tuple[FloatArray, FloatArray]:
     """Return a curve (n,) without what is steep or falls, and what is steep of it; both are zero at ``middle``."""
     slope, steps = np.diff(curve) / np.diff(x), np.diff(x)
-    limit = STEEP * max(float(np.median(slope)), 0.0)
+    limit = SHARPENING.steep_factor * max(float(np.median(slope)), 0.0)
     flat = np.append(0.0, np.cumsum(np.clip(slope, 0.0, limit) * steps))
     rises = np.append(0.0, np.cumsum(np.maximum(slope - limit, 0.0) * steps))
     return flat - np.interp(middle, x, flat), rises - np.interp(middle, x, rises)
@@ -258,8 +270,6 @@ def displaced(x: FloatArray, values: FloatArray, middle: float, by: float | Floa
     return np.interp(middle + np.sign(away) * np.maximum(np.abs(away) - by, 0.0), x, values)
 
 
-DIAMETER_STD = 0.3e-3  # m, of left minus right wheel of an axle: EN 15313 allows 0.3 to 0.5 mm when turned, later 1 mm
-SLOPES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)  # lambda, twice the conicity, at which the share is kept
 FREE = (0.0,) * len(SLOPES)
 
 
@@ -296,7 +306,7 @@ def left_in_difference(vehicle_class: VehicleClass, slope: float) -> FloatArray:
 
 def held_difference_std(shares: tuple[float, ...], conicity: float) -> float:
     """Return the std of the mean of R, m, of a wheelset whose difference of diameters is not known."""
-    return 0.5 * DIAMETER_STD * float(np.interp(2.0 * conicity, SLOPES, shares))
+    return 0.5 * SHARPENING.diameter_std * float(np.interp(2.0 * conicity, SLOPES, shares))
 
 
 def moved_off(x: FloatArray, curve: FloatArray, amplitude: FloatArray, std: float) -> FloatArray:
@@ -312,11 +322,6 @@ def widest(changed: Callable[[float], FloatArray], here: FloatArray) -> FloatArr
     # where a change leaves the range covered, the other way counts
     changes = [np.abs(changed(share) - here) / abs(share) for share in (-NORMAL_95, -1.0, 1.0, NORMAL_95)]
     return np.asarray(np.max(np.nan_to_num(changes, posinf=np.inf), axis=0))
-
-
-ROLL_PER_DISPLACEMENT = 0.03  # rad/m, of phi_c, of any wheel
-ROLL_PER_RADIUS = 0.3  # rad/m, of phi_c per R without its rises
-CROWN_DEPTH = 0.16  # m, below the rail head: about where a wheel turns that passes its crown
 
 
 class ContactRoll(StrEnum):
@@ -338,9 +343,10 @@ def standard_curve(x: FloatArray, curve: FloatArray, roll: ContactRoll) -> tuple
         return x, curve
     away = x - middle
     flat, rises = split_at_rises(x, curve, middle)
-    phi = ROLL_PER_DISPLACEMENT * away + ROLL_PER_RADIUS * flat
-    moved = curve - rises + displaced(x, rises, middle, (CROWN_DEPTH - RAIL_HEAD_RADIUS) * np.abs(phi))
+    phi = SHARPENING.roll_per_displacement * away + SHARPENING.roll_per_radius * flat
+    lever = SHARPENING.crown_depth - VEHICLE.rail_head_radius
+    moved = curve - rises + displaced(x, rises, middle, lever * np.abs(phi))
     if roll is ContactRoll.SEEN:
         return x, moved
-    taken = HIDDEN_SHARE / (1.0 + HIDDEN_SHARE) * away
-    return x + RAIL_HEAD_RADIUS * phi - taken, moved
+    taken = MOTION.hidden_roll_share / (1.0 + MOTION.hidden_roll_share) * away
+    return x + VEHICLE.rail_head_radius * phi - taken, moved

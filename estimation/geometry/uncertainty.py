@@ -13,31 +13,21 @@ from typing import Self
 
 import numpy as np
 
+from estimation.geometry.parameters import PRIORS
 from estimation.geometry.sharpening import FREE, ContactRoll, held_shares
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindings
 from estimation.vehicle.vehicle_class import VehicleClass
 
-USUAL_CUTOFF = 40.0  # m, of the high-pass of the motion
-UNKNOWN_FACTOR = 0.4  # relative std of a factor from which on nothing is known of the quotient
-JUMP_SHARE_UNCORRECTED = 0.5  # of the gauge's own std: contact jumps move by half the gauge deviation
-JUMP_SHARE_CORRECTED = 0.22  # the same where what the gauge does to the wheelset is taken off: it is known so well
-JUMP_SHARE_GAUGE_ESTIMATED = 0.32  # the same where the gauge had to be found too
-JUMP_MEAN_SHARE = 0.25  # of a gauge that is not on file: by how much contact jumps are off on average
-SCALE_PER_GAUGE_SQUARE = 0.015e6  # 1/m2, of y - d per variance of the gauge: far out a wheelset runs in wide gauge
-SCALE_PER_MEAN_GAUGE = 0.15e3  # 1/m, of y - d per gauge that is wide as a whole: worn wheels at 3 mm, by contact tables
-LEAST_SCALE_STD = 0.002  # relative, of any sensor: its digits and its drift
-MOUNTING_STD = math.radians(2.0)  # of the angle of a yaw sensor about the lateral axis
-
-# Relative, of the displacement of EN 15302: rail heads are no arcs of one radius; the roll of the contact is hidden.
-SCALE_STDS = {ContactRoll.SEEN: 0.006, ContactRoll.HIDDEN: 0.008}
+MOUNTING_STD = PRIORS.mounting_std
+SCALE_STDS = {ContactRoll.SEEN: PRIORS.scale_std_seen, ContactRoll.HIDDEN: PRIORS.scale_std_hidden}
 
 
 def quotient_widening(relative: float) -> float:
     """Return by how much the std of a quotient exceeds that of first order: 1/(1 - s), infinite from 0.4."""
     # The quotient grows without limit as its divisor, of relative std s, nears zero. With this std 92 to 96 % of the 95
     # % intervals of 1/(1 + e), e normal with std s, hold 1.
-    return 1.0 / (1.0 - relative) if relative < UNKNOWN_FACTOR else float("inf")
+    return 1.0 / (1.0 - relative) if relative < PRIORS.unknown_factor_std else float("inf")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +52,28 @@ class ParameterUncertainty:
     of_bogie: tuple[float, float, float] = (0.02, 0.02, MOUNTING_STD)  # yaw sensor against the frame's, those, angle
     held_shares: tuple[float, ...] = FREE  # of a difference of diameters, by ``sharpening.SLOPES``
     contact_roll: ContactRoll | None = None  # in y - d; None where y - d needs nothing more
+    usual_cutoff: float = 40.0  # m, of the high-pass of the motion
+    jump_share_uncorrected: float = 0.5  # of the gauge's own std: contact jumps move by half the gauge deviation
+    jump_share_corrected: float = 0.22  # the same where the effect of the gauge is taken off
+    jump_share_gauge_estimated: float = 0.32  # the same where the gauge had to be found too
+    jump_mean_share: float = 0.25  # of a gauge that is not on file: by how much contact jumps are off on average
+    scale_per_gauge_square: float = 0.015e6  # 1/m2, of y - d per variance of the gauge: far out it is wide
+    scale_per_mean_gauge: float = 0.15e3  # 1/m, of y - d per gauge that is wide as a whole: worn wheels at 3 mm
+    sensor_scale: float = 0.02  # std of the spring error by the scales of the sensors
+    sensors_in_bogie: float = 0.06  # the same: scales, angles, clocks of three sensors, and creep near saturation
+    share_in_bogie: float = 0.5  # of an error of stiffness or creep, as spring error; the curve takes up the rest
+    seen_in_bogie: float = 0.4  # of an error of the conicity by a wrong class: the curve takes up more
+    unseen_share: float = 0.06  # of noise over the power of a yaw that no curve explains: std of the spring error
+    doubted_stds: float = 1.8  # of the spring error, a doubtful class: right ones have 0.5 rms, at most 1.6
+    certain_stds: float = 2.2  # beyond which it is another: four times the rms of right ones
+    doubted_misfit: float = 0.55  # right classes on measured wheels and on gauge that varies unknown have up to 0.51
+    certain_misfit: float = 0.65
+    misfit_share: float = 0.5  # of the square of the misfit: by how much it may spoil the conicity
+    noise_doubt: float = 0.5  # of the variance that sensor noise makes: sensors may be as much worse than on file
+    least_samples: float = 200.0  # of a bin
+    fewest_bins: int = 5
+    free_std: float = 1e6  # std of what nothing is known of beforehand
+    straight_std: float = 1e-8  # rad, std of the angle for the spring error: it is that of sensors that are not turned
 
     @classmethod
     def of(cls, vehicle_class: VehicleClass) -> Self:
@@ -90,12 +102,14 @@ class ParameterUncertainty:
         return replace(
             self,
             ratio=max(ratio_stds) if ratio_stds and len(ratio_stds) == len(used) else self.ratio,
-            alignment_noise=max((alignment_std(one) for one in used), default=self.alignment_noise),
-            displacement=math.hypot(self.displacement, max((_scale_std(one, wheelset) for one in used), default=0.0)),
-            jump_position_std=max(
-                (_jump_position_std(track, wheelset) for track in used), default=self.jump_position_std
+            alignment_noise=max((alignment_std(one, self) for one in used), default=self.alignment_noise),
+            displacement=math.hypot(
+                self.displacement, max((_scale_std(one, wheelset, self) for one in used), default=0.0)
             ),
-            jump_mean_std=max((_jump_mean_std(track) for track in used), default=self.jump_mean_std),
+            jump_position_std=max(
+                (_jump_position_std(track, wheelset, self) for track in used), default=self.jump_position_std
+            ),
+            jump_mean_std=max((_jump_mean_std(track, self) for track in used), default=self.jump_mean_std),
         )
 
     def lateral(self) -> FloatArray:
@@ -111,7 +125,7 @@ class ParameterUncertainty:
 def _sensors_of_bogie(vehicle_class: VehicleClass) -> tuple[float, float, float]:
     """Return the stds of the yaw sensor's scale against the frame's, of the frame sensors' difference, of the angle."""
     of_yaw, of_frame = vehicle_class.sensors.yaw.scale_std, vehicle_class.sensors.mass_lateral.scale_std
-    least = LEAST_SCALE_STD
+    least = PRIORS.least_scale_std
     return math.hypot(least, of_yaw, of_frame), math.hypot(least, math.sqrt(2.0) * of_frame), MOUNTING_STD
 
 
@@ -125,23 +139,23 @@ def _findings_for(track: TrackAlignment, wheelset: str | None) -> TrackFindings 
     return track.findings if wheelset in track.findings.gauge_shifts else None
 
 
-def alignment_std(track: TrackAlignment) -> float:
+def alignment_std(track: TrackAlignment, uncertainty: ParameterUncertainty) -> float:
     """Return the median std, m, of an alignment where it is known, at the usual cut-off of the motion."""
     # that of a fleet is of all waves up to its own cut-off, and nearly all of it of the longest, for accelerations are
     # integrated twice: its variance grows as the cube of the cut-off
     known = np.isfinite(track.alignment_std)
     std = float(np.median(track.alignment_std[known])) if known.any() else 0.0
-    share = USUAL_CUTOFF / track.cutoff_wavelength if track.source == AlignmentSource.FLEET else 1.0
+    share = uncertainty.usual_cutoff / track.cutoff_wavelength if track.source == AlignmentSource.FLEET else 1.0
     return float(std * min(share, 1.0) ** 1.5)
 
 
-def _scale_std(track: TrackAlignment, wheelset: str | None) -> float:
+def _scale_std(track: TrackAlignment, wheelset: str | None, uncertainty: ParameterUncertainty) -> float:
     """Return the relative std of y - d on ``track``: what its alignment leaves open, and what its gauge does."""
     # A surveyed gauge that is wide as a whole changes the conicity as a whole. What is found of a wheelset on a gauge
     # that varies covers that only as far as it varies.
     mean, std = abs(float(np.mean(track.gauge_deviation))), float(np.std(track.gauge_deviation))
     beyond = max(mean - std, 0.0) if _gauge_taken_off(track, wheelset) else mean
-    of_gauge = (SCALE_PER_GAUGE_SQUARE * std**2, SCALE_PER_MEAN_GAUGE * beyond)
+    of_gauge = (uncertainty.scale_per_gauge_square * std**2, uncertainty.scale_per_mean_gauge * beyond)
     return float(np.linalg.norm([track.scale_std, *of_gauge]))
 
 
@@ -150,29 +164,15 @@ def _gauge_taken_off(track: TrackAlignment, wheelset: str | None) -> bool:
     return bool(shifts) if wheelset is None else wheelset in shifts
 
 
-def _jump_position_std(track: TrackAlignment, wheelset: str | None) -> float:
-    share = (
-        JUMP_SHARE_UNCORRECTED
-        if not _gauge_taken_off(track, wheelset)
-        else JUMP_SHARE_CORRECTED
-        if track.gauge_known
-        else JUMP_SHARE_GAUGE_ESTIMATED
-    )
+def _jump_position_std(track: TrackAlignment, wheelset: str | None, uncertainty: ParameterUncertainty) -> float:
+    taken_off = uncertainty.jump_share_corrected if track.gauge_known else uncertainty.jump_share_gauge_estimated
+    share = taken_off if _gauge_taken_off(track, wheelset) else uncertainty.jump_share_uncorrected
     spread = float(np.std(track.gauge_deviation))
     return share * (spread if track.gauge_known else max(spread, float(np.median(track.gauge_deviation_std))))
 
 
-def _jump_mean_std(track: TrackAlignment) -> float:
-    return 0.0 if track.gauge_known else JUMP_MEAN_SHARE * float(np.median(track.gauge_deviation_std))
-
-
-JUMP_PLACE = 0.03e-3  # m, std of where a contact jump is found without any gauge
-JUMP_PLACE_SHARE = 0.3  # of the blur, the same
-SCALE_UNCERTAINTY = 0.003  # of a displacement that was integrated and projected
-SCATTER = 2.5  # std over which samples scatter across a jump, in std of the error
-ORIGIN = 0.005e-3  # m, std of the origin of band-limited motion: it is the mean of the observed displacements
-ORIGIN_STD_SHARE = 0.25  # share of ``jump_position_std`` that is added to it
-MOST_EXCESS = 0.2  # of the variance of the displacement that its error may make up
+def _jump_mean_std(track: TrackAlignment, uncertainty: ParameterUncertainty) -> float:
+    return 0.0 if track.gauge_known else uncertainty.jump_mean_share * float(np.median(track.gauge_deviation_std))
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +193,7 @@ class DisplacementError:
 
     def jump_place_std(self, blur: float) -> float:
         """Return the std, m, of where contact jumps are found on average behind a blur (m, std)."""
-        return float(np.linalg.norm([JUMP_PLACE, JUMP_PLACE_SHARE * blur, self.jump_mean_std]))
+        return float(np.linalg.norm([PRIORS.jump_place_std, PRIORS.jump_place_share * blur, self.jump_mean_std]))
 
     @staticmethod
     def of(
@@ -211,8 +211,8 @@ class DisplacementError:
         the fields of where contact jumps are.
         """
         variance = float(np.average(centre**2, weights=samples)) if samples.any() else 0.0
-        excess = min(std**2 / variance, MOST_EXCESS) if variance > 0 else 0.0
-        known = (0.0, 0.0) if not integrated else (SCALE_UNCERTAINTY, ORIGIN)
+        excess = min(std**2 / variance, PRIORS.most_error_share) if variance > 0 else 0.0
+        known = (0.0, 0.0) if not integrated else (PRIORS.projection_scale_std, PRIORS.origin_std)
         return DisplacementError(std, excess, float(np.hypot(known[0], scale)), known[1], **jumps)
 
     def rounded(self, x: FloatArray, values: FloatArray) -> FloatArray:
@@ -241,9 +241,9 @@ class DisplacementError:
             0.0, x, values[smooth]
         )  # jumps below are part of it, not of the slope
         scaled = np.maximum(np.abs(slope * x), np.abs(above_centre)) * np.hypot(self.excess, self.scale)
-        shifted = np.hypot(scaled, slope * np.hypot(self.origin, ORIGIN_STD_SHARE * self.jump_position_std))
+        shifted = np.hypot(scaled, slope * np.hypot(self.origin, PRIORS.origin_std_share * self.jump_position_std))
         scattered = np.zeros(len(centre))
-        both = replace(self, std=float(np.hypot(SCATTER * self.std, self.jump_position_std)))
+        both = replace(self, std=float(np.hypot(PRIORS.scatter_stds * self.std, self.jump_position_std)))
         scattered[observed] = both.rounded(centre[observed], values[observed]) - values[observed]
         left_unknown[smooth] = np.hypot(shifted, scattered[smooth])
         return left_unknown

@@ -91,12 +91,9 @@ def _named(all_of_kind: Sequence[T], kind: str, name: str) -> T:
 
 
 def run_all(context: JobContext, trigger: JobTrigger, jobs: Sequence[Job] = ALL_JOBS) -> list[JobRun]:
-    """Run the jobs one after the other and return their records.
+    """Run the jobs one after the other, until ``context.stopping``, and return their records.
 
     A failed job does not keep the later ones from their work: each works on what is stored.
-
-    Args:
-        context: What the jobs may touch; its ``stopping`` ends the series after the present job.
     """
     runs = []
     for job in jobs:

@@ -23,6 +23,7 @@ from estimation.alerts.rules.rule import latest_run, raised_at
 from estimation.alerts.rules.running_gear import SuspensionChangeRule, suspension_change_finding
 from estimation.alerts.rules.sensor_data import IdentityRule
 from estimation.jobs.job import JobContext
+from estimation.jobs.parameters import JOBS
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.assumptions import identity_changes
 from estimation.storage import UnitOfWork
@@ -39,26 +40,18 @@ from estimation.values.trend import (
     since_change,
 )
 
-PAIR = 8  # intervals before the first that has changed: with these it is compared
-COMPARED = (16, 64)  # intervals read before it, at first and where too few of them are usable
 CALM, SINCE = "calm", "since"
 
 
 @dataclass(frozen=True, slots=True)
 class JumpInputs:
-    """The geometries of a wheelset in which a jump is looked for.
+    """The geometries of a wheelset in which a jump is looked for."""
 
-    Attributes:
-        observations: From the first that has changed since it was calm; all of them where they jump.
-        calm: Number of the newest geometry when it did not jump last; None before that.
-        newest: Number of the newest geometry.
-        since: Digest of what the comparison begins with: profile, identity, parameters.
-    """
-
+    # from the first that has changed since it was calm; all of them where they jump
     observations: tuple[Observation, ...]
-    calm: int | None
-    newest: int | None
-    since: str
+    calm: int | None  # number of the newest geometry when it did not jump last; None before that
+    newest: int | None  # number of the newest geometry
+    since: str  # digest of what the comparison begins with: profile, identity, parameters
     parameters: IdentityParameters
 
 
@@ -113,11 +106,11 @@ def _changed_since(
     if changed is None:
         return []
     earlier = sorted(interval for interval in look.numbers if interval < changed)
-    for back in COMPARED:
+    for back in JOBS.intervals_read:
         first = earlier[-back] if len(earlier) > back else None
         read = unit.geometries.intervals(serial, look.baseline, first=first)
         usable = [one for one in read if one.interval in earlier and one.geometry.windows >= parameters.least_windows]
-        if first is None or len(usable) >= PAIR:
+        if first is None or len(usable) >= JOBS.intervals_before_change:
             known = _observations(read, change)
             if first is None or not jumps(known, parameters):
                 return known
@@ -204,15 +197,11 @@ IDENTITIES = Stage(
 
 @dataclass(frozen=True, slots=True)
 class SuspensionInputs:
-    """The newest findings of all vehicles, and by vehicle the rule of its fleet and class.
-
-    Attributes:
-        parameters: What counts as now and what friction may do, the same for all.
-    """
+    """The newest findings of all vehicles, and by vehicle the rule of its fleet and class."""
 
     findings: tuple[SuspensionFinding, ...]
     rules: Mapping[str, SuspensionChangeRule]
-    parameters: SuspensionParameters
+    parameters: SuspensionParameters  # what counts as now and what friction may do, the same for all
 
 
 def load(unit: UnitOfWork, _: Sequence[str], context: JobContext) -> Mapping[str, SuspensionInputs]:

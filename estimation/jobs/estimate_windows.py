@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 from estimation.errors import NotFoundError, PassingFaultError
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.parameters import WORK
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.assumptions import Assumed, ClassLookup
@@ -48,7 +49,6 @@ from estimation.values.windows import (
 JOB_NAME = "estimate_windows"
 REFUSED = "refused_"
 """Begin of the names under which a run counts refused windows by reason code."""
-APART_NS = 86_400_000_000_000  # starts of new windows, of which those between are not read
 Mounted = tuple[Mounting, float]
 """A mounting and the greatest speed of its vehicle, m/s."""
 BESIDE = {"looks", "wheelsets", "windows", "results"}  # counts of stages that are no counts of the job
@@ -73,18 +73,12 @@ def refusals_text(counts: Mapping[str, int]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """What the windows of a wheelset are judged by.
-
-    Attributes:
-        judged: New readings where nothing speaks against them; else all.
-        mounted: Empty where nothing speaks against the readings.
-        seen: Windows that are due, with the versions in which they were.
-    """
+    """What the windows of a wheelset are judged by."""
 
     wheelset: str
-    judged: tuple[MileageReading, ...]
-    mounted: tuple[Mounted, ...]
-    seen: Mapping[WindowKey, int]
+    judged: tuple[MileageReading, ...]  # new readings where nothing speaks against them; else all
+    mounted: tuple[Mounted, ...]  # empty where nothing speaks against the readings
+    seen: Mapping[WindowKey, int]  # windows that are due, with the versions in which they were
 
 
 Verdicts = Mapping[WindowKey, Reason | None]
@@ -162,7 +156,7 @@ def _spans(windows: Iterable[WindowKey]) -> Mapping[str, list[ReadingSpan]]:
     spans: defaultdict[str, list[ReadingSpan]] = defaultdict(list)
     for serial, start_ns in windows:
         own = spans[serial]
-        if own and start_ns - own[-1][2] <= APART_NS:
+        if own and start_ns - own[-1][2] <= WORK.windows_apart_ns:
             own[-1] = (serial, own[-1][1], start_ns)
         else:
             own.append((serial, start_ns, start_ns))
@@ -185,17 +179,12 @@ JUDGE = Stage(
 
 @dataclass(frozen=True, slots=True)
 class Outdated:
-    """Windows on a section, or on none, for which something has come.
+    """Windows on a section, or on none, for which something has come."""
 
-    Attributes:
-        changed: Estimated on another version of the alignment, or with other parameters, than they are to be.
-        aligned: Refused without an alignment, of which there is one.
-        classed: Refused without a class of their vehicle, of which there is one.
-    """
-
+    # estimated on another version of the alignment, or with other parameters, than they are to be
     changed: Sequence[WindowKey]
-    aligned: Sequence[WindowKey]
-    classed: Sequence[WindowKey]
+    aligned: Sequence[WindowKey]  # refused without an alignment, of which there is one
+    classed: Sequence[WindowKey]  # refused without a class of their vehicle, of which there is one
 
 
 def load_outdated(unit: UnitOfWork, sections: Sequence[str], context: JobContext) -> Mapping[str, Outdated]:

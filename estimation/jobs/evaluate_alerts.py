@@ -12,6 +12,7 @@ from functools import partial
 
 from estimation.alerts.identity import IDENTITY_EVENT
 from estimation.alerts.life_cycle import close, transition, without_stale_acknowledgement
+from estimation.alerts.parameters import FINDINGS
 from estimation.alerts.rule_book import RuleBook, findings, in_flood, next_change_ns, opened, refreshed, superseded
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.jobs.compare_identities import IDENTITIES, JUMPS, SUSPENSIONS
@@ -21,6 +22,7 @@ from estimation.jobs.stage import AnyStage, Counted, Outcome, Part, Stage
 from estimation.jobs.steps.wheelset_facts import facts_of
 from estimation.jobs.work import Isolation
 from estimation.storage import UnitOfWork
+from estimation.trend.now import SCALE
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Finding, Transition
 from estimation.values.geometry import GEOMETRY
 from estimation.values.runs import Facet, SubjectKind
@@ -84,12 +86,7 @@ def raise_in_fleet(
 def _joining(
     unit: UnitOfWork, of_fleet: Mapping[str, Alert], single: Sequence[Alert], book: RuleBook
 ) -> dict[str, list[Alert]]:
-    """Return by kind what becomes a member; the members that an open fleet alert has already count as well.
-
-    Args:
-        of_fleet: Open fleet alerts by kind.
-        single: Alerts of wheelsets, raised or found, that are no members.
-    """
+    """Return by kind which ``single`` alerts become members; those of an open fleet alert (by kind) count as well."""
     joining = {}
     for kind in (rule.kind for rule in book.rules):
         fleet_alert = of_fleet.get(kind)
@@ -117,18 +114,12 @@ BESIDE = {CHANGED, AT_REST, "looked_at"}  # counts of stages that are no counts 
 
 @dataclass(frozen=True, slots=True)
 class AlertInputs:
-    """What the alerts of a wheelset are made from.
-
-    Attributes:
-        book: Rules of its fleet and class.
-        version: Of the rules of all fleets and classes.
-        now_ns: Our time; the stage looks again when it may say something else.
-    """
+    """What the alerts of a wheelset are made from."""
 
     facts: WheelsetFacts
-    book: RuleBook = field(metadata={"made_from": False})
-    version: str = field(metadata={"made_from": False})
-    now_ns: int = field(metadata={"made_from": False})
+    book: RuleBook = field(metadata={"made_from": False})  # rules of its fleet and class
+    version: str = field(metadata={"made_from": False})  # of the rules of all fleets and classes
+    now_ns: int = field(metadata={"made_from": False})  # our time; the stage looks again when it may say something else
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,7 +276,7 @@ ALERTS = Stage(
         *(Facet.REGISTRY, Facet.WINDOWS, Facet.ALERTS, Facet.RESTARTS, GEOMETRY.stage, Facet.BESIDE),
         *(TREND.stage, IDENTITY_EVENT.stage),
     ),
-    settings=lambda settings: (settings.trend, settings.rules.version),
+    settings=lambda settings: (settings.trend, settings.rules.version, FINDINGS, SCALE),
     load=load,
     compute=compute,
     counted=Counted(

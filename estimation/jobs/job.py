@@ -15,12 +15,11 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from estimation.errors import ConflictError, LeaseLostError, StoppedError, TreadwatchError
+from estimation.jobs.parameters import WORK
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Clock, Storage
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 
-LEASE_S = 60.0
-"""How long a claim lasts by default, s."""
 UNFIT = "unfit_workers"
 Result = TypeVar("Result")
 
@@ -29,31 +28,18 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class JobContext:
-    """What a job may touch.
-
-    Attributes:
-        storage, clock: Where everything is kept, and our time.
-        code_version: Goes into the provenance of what is stored.
-        progress: Called with (done, total) between batches; a screen's or a test's, never needed.
-        stopping: Returns whether a stop of the process was requested.
-        settings: Settings of all jobs.
-        executor: Where units of work are done; None for here, one after the other.
-        holder: Name of this process in the claims that it makes.
-        lease_s: How long a claim lasts once its process is gone or stands still, s.
-        quiet_s: What is about to change again is left to a later run as long as data came within so many seconds; 0 for
-            nothing.
-    """
+    """What a job may touch."""
 
     storage: Storage
     clock: Clock
-    code_version: str
+    code_version: str  # goes into the provenance of what is stored
     settings: JobSettings
-    progress: Callable[[int, int], None] | None = None
-    stopping: Callable[[], bool] | None = None
-    executor: WorkExecutor | None = None
-    holder: str = "worker"
-    lease_s: float = LEASE_S
-    quiet_s: float = 0.0
+    progress: Callable[[int, int], None] | None = None  # called with (done, total) between batches
+    stopping: Callable[[], bool] | None = None  # returns whether a stop of the process was requested
+    executor: WorkExecutor | None = None  # None does units of work here, one after the other
+    holder: str = "worker"  # name of this process in the claims that it makes
+    lease_s: float = WORK.lease_s  # of a claim, once its process is gone or stands still
+    quiet_s: float = 0.0  # what had data within so many seconds, and is about to change again, is left to a later run
 
     def checkpoint(self, done: int, total: int) -> None:
         """Report the progress; to be called between two batches, with everything before it committed.
@@ -74,32 +60,25 @@ class Work:
     Whoever does a unit claims its keys in the database and stores what comes of them; what is handed back are counts.
     So an executor may lose a unit or do it twice: the claims decide who works on what, and what was lost is found
     again by the next run.
-
-    Attributes:
-        name: Of the job.
-        work: Does the work for some keys, which are claimed; stores what comes of it and returns what it counted.
-        set_aside: Keeps one key in quarantine, at which workers have ended.
     """
 
     name: str
+    # does the work for some keys, which are claimed; stores what comes of it and returns what it counted
     work: Callable[[JobContext, Sequence[str]], Mapping[str, int]]
+    # keeps one key in quarantine, at which workers have ended
     set_aside: Callable[[JobContext, str, TreadwatchError], None]
 
 
 @dataclass(frozen=True, slots=True)
 class WorkUnit:
-    """A unit as it is sent to a worker.
-
-    Attributes:
-        stage: Name of the stage.
-        number: Of the unit, the same when it is handed out again: whoever begins it ends the lease under which it was
-            begun before, so that what a worker had claimed that is gone is free at once.
-        owner: Lease of the process that runs the job, with which claims end; None where the worker goes on without it.
-    """
+    """A unit as it is sent to a worker."""
 
     stage: str
     keys: tuple[str, ...]
+    # of the unit, the same when it is handed out again: whoever begins it ends the lease under which it was begun
+    # before, so that what a worker had claimed that is gone is free at once
     number: str
+    # lease of the process that runs the job, with which claims end; None where the worker goes on without it
     owner: int | None = None
 
 

@@ -17,13 +17,14 @@ from estimation.adhesion.friction import section_adhesion, touched
 from estimation.alerts.life_cycle import close, section_transition
 from estimation.alerts.rules.running_gear import LowAdhesionRule, section_finding
 from estimation.dampers.damper import DamperParameters, gear_damper
+from estimation.dampers.parameters import DAMPING
 from estimation.jobs import estimate_windows, refresh_geometry
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.parameters import JOBS, WORK
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.load_window import certain_stretches
 from estimation.jobs.steps.window_creep import (
-    HOUR_NS,
     CreepInputs,
     CreepOfWindow,
     creep_inputs,
@@ -50,10 +51,6 @@ from estimation.values.windows import WindowKey, WindowMark, WindowState, key_of
 
 JOB_NAME = "refresh_adhesion"
 BESIDE = {"wheelsets", "looks", "results"}  # counts of stages that are no counts of the job
-BATCH = 32  # windows, of a megabyte each, committed together
-MOST_SPANS = 8  # of a section that are pooled in one look: the next run goes on
-MOST_WINDOWS = 600  # of a running gear that count and are kept: 10 hours of running
-KEPT_NS = 31 * 24 * HOUR_NS  # for which the sums of windows are kept, beyond the longest span that is pooled
 
 
 def list_waiting(
@@ -107,7 +104,7 @@ def load_dampers(unit: UnitOfWork, vehicles: Sequence[str], _: JobContext) -> Ma
     """Return what the dampers of some vehicles are found from."""
     gears: dict[str, list[tuple[WindowDamper, ...]]] = {}
     for vehicle, first_axle in unit.dampers.gears(vehicles):
-        newest = tuple(unit.dampers.newest(vehicle, first_axle, MOST_WINDOWS))
+        newest = tuple(unit.dampers.newest(vehicle, first_axle, JOBS.most_gear_windows))
         if newest:
             gears.setdefault(vehicle, []).append(newest)
     return {vehicle: VehicleDampers(tuple(own), DamperParameters()) for vehicle, own in gears.items()}
@@ -125,41 +122,30 @@ def forget_windows(
     """Forget what windows say that do not count any more."""
     for inputs, _outcome in made.values():
         for windows in () if inputs is None else inputs.gears:
-            if len(windows) == MOST_WINDOWS:
+            if len(windows) == JOBS.most_gear_windows:
                 unit.dampers.forget(*windows[-1].gear, windows[-1].start_ns)
     return {}
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Passes of a section that are pooled.
-
-    Attributes:
-        fleets: That passed it.
-    """
+    """Passes of a section that are pooled."""
 
     passes: tuple[WindowAdhesion, ...]
     parameters: FrictionParameters
-    fleets: tuple[str, ...]
+    fleets: tuple[str, ...]  # that passed it
 
 
 @dataclass(frozen=True, slots=True)
 class FrictionInputs:
-    """What the friction of a section is found from.
-
-    Attributes:
-        spans: Oldest first.
-        made_with: Digest of the limits.
-        seen: Windows that are pooled, with the versions in which they were due.
-        older_ns: Passes before that are to be pooled by the next run; None for none.
-    """
+    """What the friction of a section is found from."""
 
     section: str
     length_m: float
-    spans: tuple[Span, ...]
-    made_with: str
-    seen: Mapping[WindowKey, int]
-    older_ns: int | None
+    spans: tuple[Span, ...]  # oldest first
+    made_with: str  # digest of the limits
+    seen: Mapping[WindowKey, int]  # windows that are pooled, with the versions in which they were due
+    older_ns: int | None  # passes before that are to be pooled by the next run; None for none
 
 
 def load_friction(unit: UnitOfWork, sections: Sequence[str], context: JobContext) -> Mapping[str, FrictionInputs]:
@@ -184,7 +170,7 @@ def _of_section(
     if before is not None and before[1] != limits:
         starts.update(unit.adhesion.starts_with_sums(section, 0, before[0]))
     ends = pool_ends(starts, pooled_ns(rule))
-    chosen = ends[-MOST_SPANS:]
+    chosen = ends[-JOBS.most_pooled_spans :]
     first_ns = chosen[0] - pooled_ns(rule) if chosen else 0
     return FrictionInputs(
         section=section,
@@ -241,7 +227,7 @@ def _store_span(
     unit.windows.mark_all(marks)
     if last is None or found.to_ns >= last.to_ns:
         _alert(unit, context, rule, found, span.fleets)
-        unit.adhesion.forget_sums(section, found.to_ns - KEPT_NS)
+        unit.adhesion.forget_sums(section, found.to_ns - WORK.sums_kept_ns)
     return {"sections": 1, "low": bool(found.low_stretches), "estimated_again": len(marks)}
 
 
@@ -294,7 +280,7 @@ OF_WINDOWS = Stage(
     compute=lambda inputs: Outcome([Part(creep_of_window(inputs))]),
     counted=Counted(looked="looks", changed="results", more=("windows", "refused")),
     store=store_creep,
-    at_once=BATCH,
+    at_once=WORK.creep_windows,
     frozen=(GEOMETRY.stage,),
 )
 OF_VEHICLES = Stage(
@@ -302,7 +288,7 @@ OF_VEHICLES = Stage(
     job=JOB_NAME,
     kind=SubjectKind.VEHICLE,
     facets=(CREEP,),
-    settings=lambda _: DamperParameters(),
+    settings=lambda _: (DamperParameters(), DAMPING),
     load=load_dampers,
     compute=judge_dampers,
     counted=Counted(looked="looks", changed="results"),

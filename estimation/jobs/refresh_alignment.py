@@ -23,7 +23,6 @@ from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.jobs.steps.epoch_inputs import Due, EpochSearch, FileLookup, Found, changed_from, otherwise_on_file
 from estimation.jobs.steps.epoch_passes import RunsOnFile, Solved, epoch_passes
-from estimation.jobs.steps.load_window import LATEST_NS
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
 from estimation.jobs.steps.store_alignment import (
     Computed,
@@ -42,6 +41,7 @@ from estimation.track.update import UpdateOutcome, update_alignment
 from estimation.values.runs import Due as Seen
 from estimation.values.runs import Facet, Mark, StageInputs, SubjectKind
 from estimation.values.track import Correction, TrackAlignment, TrackSectionRecord
+from estimation.values.units import LATEST_NS
 from estimation.values.windows import DueStage, WindowKey, WindowRecord
 from estimation.vehicle.vehicle_class import ClassOnFile
 
@@ -59,63 +59,42 @@ _HELD = attrgetter("track_section", "vehicle", "content_digest", "mileage_km", "
 
 @dataclass(frozen=True, slots=True)
 class OnFile:
-    """What has been seen of the files of a section, and what follows from it.
+    """What has been seen of the files of a section, and what follows from it."""
 
-    Attributes:
-        seen: As it is to be noted; None where nothing is on file that was not seen.
-        changed: Starts of windows that are looked at otherwise, by key.
-        unaffected: Vehicle, wheelset and digest of what is on file where it changes nothing.
-    """
-
-    seen: Seen | None = None
+    seen: Seen | None = None  # as it is to be noted; None where nothing is on file that was not seen
+    # starts of windows that are looked at otherwise, by key
     changed: Mapping[WindowKey, int] = field(default_factory=dict)
+    # vehicle, wheelset and digest of what is on file where it changes nothing
     unaffected: Sequence[tuple[str, str, str]] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What an epoch is solved with.
+    """What an epoch is solved with."""
 
-    Attributes:
-        alignment: After the epoch before; None where nothing is known.
-        base: The oldest version from which that does not differ materially.
-        classes: By vehicle.
-        on_file: What else windows are looked at with.
-        chosen: Windows that are solved together, those that make the version first, with what was measured of their
-            wheelsets.
-    """
-
-    alignment: TrackAlignment | None
-    base: TrackAlignment | None
-    classes: Mapping[str, ClassOnFile]
-    on_file: RunsOnFile
+    alignment: TrackAlignment | None  # after the epoch before; None where nothing is known
+    base: TrackAlignment | None  # the oldest version from which that does not differ materially
+    classes: Mapping[str, ClassOnFile]  # by vehicle
+    on_file: RunsOnFile  # what else windows are looked at with
+    # windows that are solved together, those that make the version first, with what was measured of their wheelsets
     chosen: Sequence[tuple[Sequence[Entry], Measured]]
 
 
 @dataclass(frozen=True, slots=True)
 class FoldInputs:
-    """What is to be done of the epochs of a section; samples are read where they are looked at.
-
-    Attributes:
-        versions: Of what is declared, as of these inputs.
-        number: Of the epoch that is due; None for none.
-        digest: Of what that rests on.
-        later: Whether the last epoch is left for a later run.
-        last: Whether nothing else is due once the epoch is stored.
-        seen: Windows that are listed and done with when this is stored, with the versions that were read.
-        known: None where no epoch is due, or it has no window left.
-    """
+    """What is to be done of the epochs of a section; samples are read where they are looked at."""
 
     section: str
-    versions: int
-    number: int | None
-    digest: str
-    later: bool
-    last: bool
+    versions: int  # of what is declared, as of these inputs
+    number: int | None  # of the epoch that is due; None for none
+    digest: str  # of what that rests on
+    later: bool  # whether the last epoch is left for a later run
+    last: bool  # whether nothing else is due once the epoch is stored
+    # windows that are listed and done with when this is stored, with the versions that were read
     seen: Mapping[WindowKey, int]
     on_file: OnFile
     found: Found = field(metadata={"made_from": False})
-    known: Known | None = field(metadata={"made_from": False})
+    known: Known | None = field(metadata={"made_from": False})  # None where no epoch is due, or it has no window left
     context: JobContext = field(metadata={"made_from": False})
 
     @property

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.parameters import JOBS, WORK
 from estimation.jobs.runner import run
 from estimation.jobs.stage import Counted, Outcome, Stage, part_of_result
 from estimation.jobs.steps.assumptions import (
@@ -56,25 +57,19 @@ from estimation.values.runs import Facet
 from estimation.values.trend import TREND
 from estimation.values.windows import DueStage, WindowRecord
 
-REMEMBERED_HALF_LIVES = 20.0  # a weight of one in a million
-SUMS_IN_MEMORY = 4  # roll-ups of a wheelset, 1.5 MB each
 _BEING_MADE = RollUpState("", {})  # of roll-ups that are made again, until all of them are
 
 
 @dataclass(slots=True)
 class RolledGeometries:
-    """Geometries of one wheelset, as one transaction sees its roll-ups.
-
-    Attributes:
-        radius: What was found of the radius on file on the way.
-        earlier: Digest and sum of the intervals before the newest one, where it had to be made.
-    """
+    """Geometries of one wheelset, as one transaction sees its roll-ups."""
 
     unit: UnitOfWork
     rules: Membership
     rolled: Rolled
     context: JobContext
-    radius: RadiusOnFile = field(init=False)
+    radius: RadiusOnFile = field(init=False)  # what was found of the radius on file on the way
+    # digest and sum of the intervals before the newest one, where it had to be made
     earlier: tuple[str, BinTable] | None = None
     _passed_over: PassedOverWindows = field(init=False)
     _refused: Sequence[WindowRecord] | None = None
@@ -88,7 +83,7 @@ class RolledGeometries:
         """Return the sums of a roll-up; of those that have changed some are kept in memory."""
         found = self.kept_sums.get(part.roll_up.key) or sums(self.unit, self.rules.wheelset, part)
         if part.added:
-            if len(self.kept_sums) >= SUMS_IN_MEMORY:
+            if len(self.kept_sums) >= WORK.roll_ups_in_memory:
                 self.kept_sums.pop(next(iter(self.kept_sums)))
             self.kept_sums[part.roll_up.key] = found
         return found
@@ -144,7 +139,7 @@ class RolledGeometries:
             if part.roll_up.number is not None
             and part.roll_up.sealed
             and self.rules.of_its_baseline(part.roll_up)
-            and last_km - self.rules.end_km(part.roll_up.key) > REMEMBERED_HALF_LIVES * self.rules.half_life_km
+            and last_km - self.rules.end_km(part.roll_up.key) > JOBS.remembered_half_lives * self.rules.half_life_km
         ]
 
     def _contradicted(self, parts: Sequence[Part]) -> list[GeometryRecord]:
@@ -188,7 +183,7 @@ class RolledGeometries:
         right = [part for part in of_baseline if not self._passed_over.contradicted(part.roll_up)] or of_baseline
         near = [part for part in right if part.roll_up.key.side is Side.AFTER] or right
         last = max(near, key=lambda part: part.roll_up.last_ns).roll_up
-        longest = REMEMBERED_HALF_LIVES * self.rules.half_life_km
+        longest = JOBS.remembered_half_lives * self.rules.half_life_km
         same = (last.key.table_key, last.key.vehicle_class)
         of_class = (part for part in near if (part.roll_up.key.table_key, part.roll_up.key.vehicle_class) == same)
         weighty = [part for part in of_class if last.last_km - self.rules.end_km(part.roll_up.key) <= longest]
@@ -296,18 +291,13 @@ class GeometryInputs:
     """What the geometries of a wheelset are made from, and what became of it while it was read.
 
     The sums of bin tables are megabytes: each is made a geometry where it is read, and only these are kept.
-
-    Attributes:
-        contents: Of the roll-ups, as they are to be.
-        looked_at: Windows that are due, with the versions that were read.
-        made_from: Digests of the geometries that are others by now.
-        whole: Whether these are all roll-ups that are to be made again; else the rest, and the geometries, come next.
     """
 
     rules: str
-    contents: tuple[tuple[str, str], ...]
-    looked_at: Mapping[int, int]
-    made_from: tuple[str, ...]
+    contents: tuple[tuple[str, str], ...]  # of the roll-ups, as they are to be
+    looked_at: Mapping[int, int]  # windows that are due, with the versions that were read
+    made_from: tuple[str, ...]  # digests of the geometries that are others by now
+    # whether these are all roll-ups that are to be made again; else the rest, and the geometries, come next
     whole: bool
     records: tuple[GeometryRecord, ...] = field(metadata={"made_from": False})
     parts: tuple[RolledPart, ...] = field(metadata={"made_from": False})
@@ -328,9 +318,9 @@ def load(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mappi
 def _inputs(geometries: RolledGeometries) -> GeometryInputs:
     as_now = geometries.rolled
     changed = [part for part in as_now.parts if part.changed] if as_now.due else []
-    whole = len(changed) <= SUMS_IN_MEMORY
+    whole = len(changed) <= WORK.roll_ups_in_memory
     records = geometries.records() if whole else []
-    some = changed if whole else changed[:SUMS_IN_MEMORY]
+    some = changed if whole else changed[: WORK.roll_ups_in_memory]
     parts = [RolledPart(part.roll_up, part.before, *geometries.sums(part), part.added) for part in some]
     geometries.kept_sums.clear()
     return GeometryInputs(

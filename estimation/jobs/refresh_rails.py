@@ -19,6 +19,7 @@ from estimation.accuracy.wheel_contact import RailShare, WheelPair
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.parameters import JOBS
 from estimation.jobs.runner import run_all
 from estimation.jobs.settings import RailsSettings
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
@@ -48,10 +49,8 @@ from estimation.values.registry import WheelsetRecord
 from estimation.values.runs import EVERYTHING, Facet, Result, SubjectKind
 from estimation.values.track import TrackSectionRecord
 from estimation.values.trend import TREND, on_one_side
+from estimation.values.units import DAY_NS
 
-DAY_NS = 86_400_000_000_000
-SAME_GAUGE = 0.3e-3  # m, within which gauges count as alike
-GAUGE_DIGITS = 4  # of a gauge in m
 OTHER_RAILS = Reason(
     ReasonCode.KNOWN_RAILS_OTHER, "named as known, with other rails, or another gauge, on file than the reference"
 )
@@ -121,11 +120,7 @@ def anchor_inputs(unit: UnitOfWork, cells: Sequence[StoredCell], context: JobCon
 
 
 def anchors(inputs: AnchorInputs, amplitude: FloatArray) -> Anchors:
-    """Return what holds the level, with the conicities that follow from profiles.
-
-    Args:
-        amplitude: (k,) m.
-    """
+    """Return what holds the level, with the conicities that follow from profiles, at amplitudes (k,), m."""
     nothing = np.full(len(amplitude), np.nan)
     wheel = designed_wheel(inputs.profile, inputs.nominal_radius)
     if inputs.rails is None:
@@ -198,12 +193,12 @@ def _at_gauge(unit: UnitOfWork, section: TrackSectionRecord) -> RailShare:
     rails, track = _rails_of(section), unit.tracks.alignment(section.code, None)
     if track is None or not track.gauge_known:
         return rails
-    return replace(rails, gauge=round(rails.gauge + float(np.mean(track.gauge_deviation)), GAUGE_DIGITS))
+    return replace(rails, gauge=round(rails.gauge + float(np.mean(track.gauge_deviation)), JOBS.gauge_digits))
 
 
 def _alike(one: RailShare, other: RailShare) -> bool:
     same = (one.rail, one.inclination) == (other.rail, other.inclination)
-    return same and abs(one.gauge - other.gauge) <= SAME_GAUGE
+    return same and abs(one.gauge - other.gauge) <= JOBS.gauge_tolerance
 
 
 def _most(sections: Mapping[str, RailShare], windows: Counter[str]) -> RailShare | None:
@@ -248,14 +243,11 @@ class RailsInputs:
 
 @dataclass(frozen=True, slots=True)
 class RailsFindings:
-    """What was found of all sections, and of all wheelsets in their newest interval.
-
-    Attributes:
-        refused: Why sections that are named as known, by code, and wheelsets that are measured hold no level.
-    """
+    """What was found of all sections, and of all wheelsets in their newest interval."""
 
     sections: Mapping[str, RailsFinding]
     wheelsets: Mapping[str, WheelsFinding]
+    # why sections that are named as known, by code, and wheelsets that are measured hold no level
     refused: Mapping[str, str]
     refused_wheels: Mapping[str, str]
 

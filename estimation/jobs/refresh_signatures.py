@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.parameters import JOBS
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.assumptions import ClassLookup, identity_change, suspected
@@ -22,6 +23,7 @@ from estimation.jobs.steps.signature_windows import ASSUMED, JOB_NAME, OF_WINDOW
 from estimation.jobs.work import fails_alone
 from estimation.signatures.answer import compared, judged
 from estimation.signatures.library import Change, Libraries, Subject, current
+from estimation.signatures.parameters import SIGNATURE
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
@@ -44,7 +46,6 @@ from estimation.values.signatures import (
 )
 from estimation.values.windows import WindowKey, text_of_key
 
-NEWEST = 12  # windows that a wheelset is judged by
 BESIDE = {"wheelsets", "windows", "looks", "results"}  # counts of stages that are no counts of the job
 NO_SIGNATURE = Reason(
     ReasonCode.NO_SIGNATURE, "there is no signature of the wheelset since it was last turned, on the track as it is now"
@@ -149,7 +150,7 @@ def _shelved(made: Entries, without: Mapping[ReasonCode, int], parameters: Signa
         by_kind[entry.signature.vehicle_class, entry.signature.position].append(entry)
     entries, changes, retired = {}, {}, 0
     for kind, members in by_kind.items():
-        found = current(members)
+        found = current(members, parameters)
         entries[kind] = found.entries
         changes.update({(kind, change.place): change for change in found.changes})
         retired += len(found.retired)
@@ -186,7 +187,7 @@ def _subjects(
         begin_ns = last.from_ns if change is None else max(last.from_ns, change.after_ns)
         now = [one for one in mine if one.found.start_ns >= begin_ns]
         newest = now[-1] if now else None
-        near = [one for one in now if newest and newest.mileage_km - one.mileage_km <= most_km][-NEWEST:]
+        near = [one for one in now if newest and newest.mileage_km - one.mileage_km <= most_km][-JOBS.judged_windows :]
         kind = _kind(near[-1]) if near else None
         pair = reader.pair(mine[-1]) if mine else NO_PAIR
         chosen = [one for one in near if _kind(one) == kind and reader.pair(one) == pair]
@@ -220,23 +221,19 @@ def _geometry(unit: UnitOfWork, serial: str, baseline: int) -> Estimate | Damage
 
 @dataclass(frozen=True, slots=True)
 class Library:
-    """What all answers are made from.
-
-    Attributes:
-        geometries: Conicities at 3 mm of those that are judged; None without one of the present profile.
-        answered: What the answers in force are made from, and by which numerics.
-        failed: What cannot be read, by kind and key.
-        damaged: Windows whose signatures cannot be read.
-    """
+    """What all answers are made from."""
 
     shelf: _Shelf
     subjects: Mapping[str, _Subject]
+    # conicities at 3 mm of those that are judged; None without one of the present profile
     geometries: Mapping[str, Estimate | None]
     parameters: SignatureParameters
     numerics: str
+    # what the answers in force are made from, and by which numerics
     answered: Mapping[str, tuple[str, str]] = field(metadata={"made_from": False})
+    # what cannot be read, by kind and key
     failed: Mapping[tuple[SubjectKind, str], Exception] = field(metadata={"made_from": False})
-    damaged: Sequence[WindowKey] = field(metadata={"made_from": False})
+    damaged: Sequence[WindowKey] = field(metadata={"made_from": False})  # windows whose signatures cannot be read
 
 
 def _finding(library: Library, subject: _Subject, geometry: Estimate | None) -> SignatureFinding:
@@ -277,7 +274,7 @@ OF_ALL = Stage(
     job=JOB_NAME,
     kind=SubjectKind.WHEELSET,
     facets=(SIGNATURES, Facet.WINDOWS, Facet.REGISTRY, Facet.LAYOUTS, Facet.RESTARTS, GEOMETRY.stage),
-    settings=lambda settings: (settings.signatures, settings.estimation),
+    settings=lambda settings: (settings.signatures, settings.estimation, SIGNATURE),
     load=load_library,
     compute=judge,
     counted=Counted(looked="looks", changed="answered", more=("retired",)),

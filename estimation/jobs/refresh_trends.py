@@ -9,10 +9,11 @@ from functools import partial
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run
-from estimation.jobs.stage import Counted, Outcome, Part, Stage
+from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.assumptions import identity_changes
 from estimation.storage import UnitOfWork
-from estimation.trend.extrapolation import LIMIT_AMPLITUDE, conicity_points
+from estimation.trend.extrapolation import conicity_points
+from estimation.trend.parameters import CURVES
 from estimation.trend.trend import TrendParameters, behind_step, newest_step, refresh, with_step
 from estimation.values.geometry import GEOMETRY, IntervalConicities
 from estimation.values.registry import VehicleRecord
@@ -20,19 +21,17 @@ from estimation.values.runs import Facet
 from estimation.values.trend import TREND as TRENDS
 from estimation.values.trend import WearTrend, baseline_part, since_change
 
+METHOD = made_from(CURVES)[:16]
+
 
 @dataclass(frozen=True, slots=True)
 class TrendInputs:
-    """What the trend of a wheelset is made from.
-
-    Attributes:
-        conicities: Of the intervals with windows since the last reprofiling and the last change of identity.
-        limit: Of the conicity at 3 mm, in the vehicle it runs in or ran in last; None where there is none.
-    """
+    """What the trend of a wheelset is made from."""
 
     baseline: int
+    # of the intervals with windows since the last reprofiling and the last change of identity
     conicities: tuple[IntervalConicities, ...]
-    limit: float | None
+    limit: float | None  # of the conicity at 3 mm, in the vehicle it runs in or ran in last; None where there is none
     parameters: TrendParameters
 
 
@@ -76,18 +75,14 @@ def compute(inputs: TrendInputs) -> Outcome[WearTrend]:
         status=trend.status,
         reason=trend.reason,
         head=trend.head,
-        parameters=asdict(inputs.parameters),
+        parameters={**asdict(inputs.parameters), "method": METHOD},
     )
     return Outcome([part])
 
 
 def trend_of(records: Sequence[IntervalConicities], limit: float, parameters: TrendParameters) -> WearTrend:
-    """Return the trend of the conicities of intervals, since their newest step.
-
-    Args:
-        limit: Of the conicity at 3 mm.
-    """
-    step = newest_step(records)
+    """Return the trend of the conicities of intervals, since their newest step, against the limit at 3 mm."""
+    step = newest_step(records, parameters)
     chosen = conicity_points(behind_step(records, step))
     trend = refresh(
         chosen.points,
@@ -106,7 +101,7 @@ TREND = Stage(
     job="refresh_trends",
     kind=TRENDS.subject,
     facets=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage),
-    settings=lambda settings: (LIMIT_AMPLITUDE, settings.trend, settings.rules.version),
+    settings=lambda settings: (METHOD, settings.trend, settings.rules.version),
     load=load,
     compute=compute,
     counted=Counted(looked="wheelsets", changed="refreshed", same="unchanged", more=("without_limit",)),

@@ -33,9 +33,9 @@ from estimation.values.geometry import GeometryRecord, IntervalConicities, inter
 from estimation.values.opinions import SectionAdhesion
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.trend import IDENTITY, IdentityChange, TrendRecord, WearTrend, since_change
+from estimation.values.units import DAY_NS
 from estimation.values.windows import WindowRecord, WindowState
 
-DAY_NS = 86_400_000_000_000
 NOT_REPLAYED = (IDENTITY, SuspensionChangeRule.kind, WeakDamperRule.kind)
 _Trends = Callable[[Sequence[IntervalConicities], float], WearTrend]
 
@@ -81,11 +81,7 @@ def history_of(unit: UnitOfWork, serial: str) -> History:
 
 
 def replayed(history: History, book: RuleBook, span: tuple[int, int]) -> list[Alert]:
-    """Return the alerts that rules would have raised and that were open within a span of time, by opening.
-
-    Args:
-        span: From and to, ns UTC of the vehicle's clock.
-    """
+    """Return the alerts that rules would have raised and that were open within a span of time, ns UTC, by opening."""
     kept: dict[tuple[int, int, float], WearTrend] = {}
 
     def trends(records: Sequence[IntervalConicities], limit: float) -> WearTrend:
@@ -285,11 +281,7 @@ def _change(before: Alert, after: Alert) -> Change:
 
 
 def section_replayed(unit: UnitOfWork, section: str, book: RuleBook, span: tuple[int, int]) -> list[Alert]:
-    """Return the alerts of low adhesion that rules would have raised about a section within a span of time, by opening.
-
-    Args:
-        span: From and to, ns UTC of the vehicles' clocks.
-    """
+    """Return the alerts of low adhesion that rules would have raised about a section within a span, ns, by opening."""
     rule = book.rule(LowAdhesionRule)
     # one that is not on file any more has no places
     length = next((one.length_m for one in unit.tracks.sections() if one.code == section), 0.0)

@@ -15,13 +15,12 @@ from itertools import dropwhile, islice
 
 from estimation.errors import ConflictError, StoppedError, TreadwatchError
 from estimation.jobs.job import JobContext, Work
+from estimation.jobs.parameters import WORK
 from estimation.jobs.stage import AnyStage, Outcome, Part, check_finite, made_from
 from estimation.jobs.work import Isolation, fails_alone, hand_out, unit_size
 from estimation.storage import UnitOfWork
 from estimation.values.runs import AnyResult, Due, Look, Mark, Result, StageInputs, SubjectKind
 
-CLAIMED_TOGETHER = 4
-"""Batches of subjects that are claimed together."""
 CHANGED = "changed_meanwhile"
 """Counts subjects that have changed between the reading of their inputs and the storing, of stages that name it."""
 
@@ -32,11 +31,7 @@ def run(stage: AnyStage, context: JobContext) -> Mapping[str, int]:
 
 
 def run_all(stages: Iterable[AnyStage], context: JobContext, isolation: Isolation | None = None) -> Counter[str]:
-    """Bring the results of stages of a job up to date, one after the other; return what was counted of all.
-
-    Args:
-        isolation: Of the job, where more than the stages is done in it.
-    """
+    """Bring the results of stages of a job up to date, one after the other; return what was counted of all."""
     waiting = deque(stages)
     counts, listed = Counter(quarantined=0), set[str]()
     isolation, looked = isolation or Isolation(context, waiting[0].job), False
@@ -82,9 +77,7 @@ def _not_at_rest(
 ) -> tuple[deque[AnyStage], Look]:
     """Return the stages from the first on of which something is due, and what is due of each.
 
-    Args:
-        seen: Counts all that the stages have seen as at rest, knows what is held, and holds the stages whose windows
-            are listed.
+    ``seen`` counts all that the stages have seen as at rest, knows what is held, and which windows are listed.
     """
     counts, isolation, listed = seen
     for stage in stages:
@@ -115,11 +108,7 @@ def _try_again(stage: AnyStage, context: JobContext, ready: Collection[str], iso
 
 
 def work_of(stage: AnyStage, isolation: Isolation | None = None) -> Work:
-    """Return the work of a stage in units, as it is handed out to processes.
-
-    Args:
-        isolation: Of the run, where this process does the work.
-    """
+    """Return the work of a stage in units, as it is handed out to processes."""
     return Work(stage.name, partial(_work, stage, isolation), partial(_set_aside, stage))
 
 
@@ -127,7 +116,7 @@ def _handed_out(
     stage: AnyStage, context: JobContext, ready: Sequence[str], total: int, isolation: Isolation
 ) -> Counter[str]:
     # of a large batch by itself: a stop is looked for between units
-    batches = 1 if stage.at_once is None else CLAIMED_TOGETHER
+    batches = 1 if stage.at_once is None else WORK.claimed_batches
     size = unit_size(context, len(ready), batches * stage.batch(context))
     done = total - len(ready)
 
@@ -186,11 +175,7 @@ class _Working:
     _stored: set[str] = field(default_factory=set)  # subjects of which a part was stored
 
     def do(self, subjects: Sequence[str], read: _Read | None = None) -> None:
-        """Load, compute and store subjects together, and the rest of those of which that was a part each alone.
-
-        Args:
-            read: What was read of them, where that was done.
-        """
+        """Load, compute and store subjects together, and the rest of those of which that was a part each alone."""
         waiting = deque([subjects])
         while waiting:
             rest = self._do(waiting.popleft(), read)
@@ -201,11 +186,7 @@ class _Working:
             waiting.extend([subject] for subject in rest)
 
     def read(self, unit: UnitOfWork, subjects: Sequence[str], due: Mapping[str, Due]) -> _Read | None:
-        """Return the inputs of subjects; None where that fails, which it will again by itself.
-
-        Args:
-            due: Of these and others, as the transaction has read it.
-        """
+        """Return the inputs of subjects; None where that fails, which it will again by itself."""
         own = {subject: due[subject] for subject in subjects}
         try:
             return own, self._load(unit, own)

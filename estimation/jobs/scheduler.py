@@ -13,31 +13,18 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from threading import Event
 
-from apscheduler.events import (
-    EVENT_JOB_ERROR,
-    EVENT_JOB_MAX_INSTANCES,
-    EVENT_JOB_MISSED,
-    JobEvent,
-)
+from apscheduler.events import EVENT_JOB_ERROR, EVENT_JOB_MAX_INSTANCES, EVENT_JOB_MISSED, JobEvent
 from apscheduler.executors.pool import ThreadPoolExecutor
 from apscheduler.jobstores.memory import MemoryJobStore
 from apscheduler.schedulers.background import BackgroundScheduler
 
 from estimation.errors import AlreadyRunningError, StorageError
 from estimation.jobs.job import Job, JobContext, run_job
+from estimation.jobs.parameters import WORK
 from estimation.storage import Storage
 from estimation.values.runs import JobTrigger
 
 _log = logging.getLogger(__name__)
-
-CHECK_S = 1.0
-"""How often the scheduler looks whether it still is the one of its database."""
-
-STEP_NS = 30_000_000_000
-"""Between two looks the clock may go so much more or less than :data:`CHECK_S`; beyond it somebody has set it."""
-
-LONGEST_LEASE_S = 45.0
-"""The place of a scheduler is free so long after its machine is lost, at most: another has it within a minute."""
 
 
 def serve_jobs(
@@ -60,9 +47,10 @@ def serve_jobs(
         StorageError: The database cannot be reached at the start. Later the scheduler waits for it.
     """
     begun, before = False, ""
+    lease_s = min(context.lease_s, WORK.scheduler_lease_s)
     while not stop_event.is_set():
         try:
-            with context.storage.owned(JobTrigger.SCHEDULE, holder, min(context.lease_s, LONGEST_LEASE_S)) as owned:
+            with context.storage.owned(JobTrigger.SCHEDULE, holder, lease_s) as owned:
                 begun, before = True, ""
                 _serve_while_owned(replace(context, storage=owned), jobs, stop_event)
         except AlreadyRunningError as error:
@@ -75,7 +63,7 @@ def serve_jobs(
             if not begun:
                 raise
             _log.warning("the scheduler waits for the database: %s", error)
-        stop_event.wait(CHECK_S)
+        stop_event.wait(WORK.scheduler_check_s)
 
 
 def _serve_while_owned(context: JobContext, jobs: Sequence[Job], stop_event: Event) -> None:
@@ -91,7 +79,7 @@ def _serve_while_owned(context: JobContext, jobs: Sequence[Job], stop_event: Eve
     _log.info("scheduler started with %s", ", ".join(job.name for job in jobs))
     kept: bool | None = True
     try:
-        while kept is not False and not stop_event.wait(CHECK_S):
+        while kept is not False and not stop_event.wait(WORK.scheduler_check_s):
             before_ns, looked_ns = looked_ns, context.clock.now_ns()
             was_kept, kept = kept, _kept(context.storage)
             if clock_was_set(looked_ns - before_ns):
@@ -119,7 +107,7 @@ def _kept(owned: Storage) -> bool | None:
 
 def clock_was_set(passed_ns: int) -> bool:
     """Return whether somebody set the clock, or this process stood still, by what passed between two looks of it."""
-    return abs(passed_ns - CHECK_S * 1e9) > STEP_NS
+    return abs(passed_ns - WORK.scheduler_check_s * 1e9) > WORK.clock_step_ns
 
 
 def _make_due(scheduler: BackgroundScheduler, jobs: Sequence[Job]) -> None:

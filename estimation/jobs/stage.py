@@ -18,6 +18,7 @@ import numpy as np
 
 from estimation.errors import NotFiniteError
 from estimation.jobs.job import JobContext
+from estimation.jobs.parameters import WORK
 from estimation.jobs.settings import JobSettings
 from estimation.storage import UnitOfWork
 from estimation.values.fields import JsonValue
@@ -90,24 +91,16 @@ V = TypeVar("V")
 
 @dataclass(frozen=True, slots=True)
 class Part(Generic[V]):
-    """A result to be stored: of the subject itself, or of a part of it.
+    """A result to be stored: of the subject itself, or of a part of it."""
 
-    Attributes:
-        value: None where there is a reason only.
-        subject: Of a stage that looks at all together: whose result it is; None is that of the inputs.
-        made_from: Digest of what this part is made from; None is that of all inputs of the subject.
-        head: What is read of many results, without their values.
-        parameters: That shaped it, as they are shown.
-    """
-
-    value: V | None
+    value: V | None  # None where there is a reason only
     part: str = ""
-    subject: str | None = None
-    made_from: str | None = None
+    subject: str | None = None  # of a stage that looks at all together: whose result it is; None is that of the inputs
+    made_from: str | None = None  # digest of what this part is made from; None is that of all inputs of the subject
     status: Status = Status.ESTIMATED
     reason: Reason | None = None
-    head: JsonValue = None
-    parameters: Mapping[str, JsonValue] = field(default_factory=dict)
+    head: JsonValue = None  # what is read of many results, without their values
+    parameters: Mapping[str, JsonValue] = field(default_factory=dict)  # that shaped it, as they are shown
 
 
 def part_of_result(result: Result[V]) -> Part[V]:
@@ -125,40 +118,28 @@ def part_of_result(result: Result[V]) -> Part[V]:
 
 @dataclass(frozen=True, slots=True)
 class Outcome(Generic[V]):
-    """What was computed of a subject.
-
-    Attributes:
-        again_ns: Our time from which the same inputs may say something else; None for never.
-        counted: Name under which the subject is counted; None is by whether a result changed.
-        rests: Whether the stage has nothing more to say before another of its inputs changes. What it raises of its
-            own inputs makes it look again otherwise.
-        more: Whether this was a part of what is to be stored: the subject is due still, and taken up again at once.
-        failed: Of a stage that looks at all together: of what it could not be done, by kind and key.
-    """
+    """What was computed of a subject."""
 
     parts: Sequence[Part[V]] = ()
-    again_ns: int | None = None
-    counted: str | None = None
+    again_ns: int | None = None  # our time from which the same inputs may say something else; None for never
+    counted: str | None = None  # name under which the subject is counted; None is by whether a result changed
+    # whether the stage has nothing more to say before another of its inputs changes. What it raises of its own inputs
+    # makes it look again otherwise
     rests: bool = True
+    # whether this was a part of what is to be stored: the subject is due still, and taken up again at once
     more: bool = False
+    # of a stage that looks at all together: of what it could not be done, by kind and key
     failed: Mapping[tuple[SubjectKind, str], Exception] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class Counted:
-    """Names of the counts of a run.
+    """Names of the counts of a run."""
 
-    Attributes:
-        looked: Subjects that were looked at; with ``same`` those at rest, too.
-        changed: Results that are other ones now.
-        same: Subjects that are as they were; None where they are not counted.
-        more: Names that outcomes and ``store`` count under.
-    """
-
-    looked: str
-    changed: str
-    same: str | None = None
-    more: tuple[str, ...] = ()
+    looked: str  # subjects that were looked at; with ``same`` those at rest, too
+    changed: str  # results that are other ones now
+    same: str | None = None  # subjects that are as they were; None where they are not counted
+    more: tuple[str, ...] = ()  # names that outcomes and ``store`` count under
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -168,48 +149,40 @@ class Counted:
 
 @dataclass(frozen=True, slots=True)
 class Stage(Generic[I, V]):
-    """A step from inputs to results, the same for every subject of a kind.
+    """A step from inputs to results, the same for every subject of a kind."""
 
-    Attributes:
-        name: Of the stage; its results are a facet of this name.
-        job: Name of the job that runs it, under which failures are kept.
-        facets: What of its subjects it is made from: base facts, and names of stages whose results it reads; none of a
-            stage that goes by the windows that are due.
-        settings: Returns what of the settings it is made from; with others all subjects are due.
-        load: Reads the inputs of some subjects, few statements for all; a subject that is left out has nothing to
-            compute from. The digest of its inputs (``made_from``) decides whether it is computed.
-        compute: Gets the inputs and nothing else. A part that it does not return keeps its former result.
-        results: How what it computes is stored; None where ``store`` does all.
-        store: Stores what is more than results, in the same transaction; returns what it counted.
-        failed: Stores what a failure says of a subject, beside the quarantine.
-        again: Prepares subjects that failed before and are tried again.
-        at_once: Subjects that are loaded and stored in one transaction; None is as many as the settings say.
-        together: Whether it looks at all subjects together, of whatever kind a facet is; its one subject is
-            ``EVERYTHING``.
-        frozen: Facets that it reads and that do not make it due.
-        inline: Whether the transaction that raises a facet makes what the stage is for, at its end; a run makes all of
-            it again where the settings are others.
-        here: Whether it is cheaper than handing it out, or its results are brought together: the process that runs the
-            job does it, without a claim. Not one that goes by due windows: only a claim tells a window that was listed
-            anew from one that was seen.
-    """
-
-    name: str
-    job: str
+    name: str  # of the stage; its results are a facet of this name
+    job: str  # name of the job that runs it, under which failures are kept
     kind: SubjectKind
+    # what of its subjects it is made from: base facts, and names of stages whose results it reads; none of a stage that
+    # goes by the windows that are due
     facets: tuple[str, ...]
+    # returns what of the settings it is made from; with others all subjects are due
     settings: Callable[[JobSettings], object]
+    # reads the inputs of some subjects, few statements for all; a subject that is left out has nothing to compute from.
+    # The digest of its inputs (``made_from``) decides whether it is computed
     load: Callable[[UnitOfWork, Sequence[str], JobContext], Mapping[str, I]]
+    # gets the inputs and nothing else. A part that it does not return keeps its former result
     compute: Callable[[I], Outcome[V]]
     counted: Counted
-    results: ResultKind[V] | None = None
+    results: ResultKind[V] | None = None  # how what it computes is stored; None where ``store`` does all
+    # stores what is more than results, in the same transaction; returns what it counted
     store: Callable[[UnitOfWork, JobContext, Mapping[str, tuple[I, Outcome[V]]]], Mapping[str, int]] | None = None
+    # stores what a failure says of a subject, beside the quarantine
     failed: Callable[[UnitOfWork, str, Exception], None] | None = None
+    # prepares subjects that failed before and are tried again
     again: Callable[[UnitOfWork, Sequence[Quarantined]], None] | None = None
-    at_once: int | None = 16
+    # subjects that are loaded and stored in one transaction; None is as many as the settings say
+    at_once: int | None = WORK.at_once
+    # whether it looks at all subjects together, of whatever kind a facet is; its one subject is ``EVERYTHING``
     together: bool = False
-    frozen: tuple[str, ...] = ()
+    frozen: tuple[str, ...] = ()  # facets that it reads and that do not make it due
+    # whether the transaction that raises a facet makes what the stage is for, at its end; a run makes all of it again
+    # where the settings are others
     inline: bool = False
+    # whether it is cheaper than handing it out, or its results are brought together: the process that runs the job does
+    # it, without a claim. Not one that goes by due windows: only a claim tells a window that was listed anew from one
+    # that was seen
     here: bool = False
 
     def batch(self, context: JobContext) -> int:

@@ -24,6 +24,7 @@ from estimation.errors import (
     WorkFailedError,
 )
 from estimation.jobs.job import JobContext, Work, WorkUnit
+from estimation.jobs.parameters import WORK
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.runs import MOST_ENDED, Quarantined, SubjectKind, after_failure, resolved
 
@@ -70,15 +71,6 @@ def _done(context: JobContext, leased: Storage, stage: Work, keys: Sequence[str]
     return {SET_ASIDE: 1, "quarantined": 1}
 
 
-AHEAD = 2
-"""Units in hand per unit that is worked on, so that no worker waits for the next."""
-MOST_TRIES = 3
-"""Workers that a unit is given to, one after the other, before the run fails."""
-LOOK_S = 1.0
-"""How often a stop is looked for while units are worked on, s."""
-UNITS_EACH = 4
-"""Units per worker into which little work is divided at least, so that all end at about the same time."""
-
 Unit = tuple[str, ...]
 
 
@@ -118,14 +110,9 @@ def hand_out(context: JobContext, stage: Work, units: Iterable[Unit], done: Call
 
 
 def unit_size(context: JobContext, total: int, most: int) -> int:
-    """Return how many keys a unit has, so that there are enough units for all workers.
-
-    Args:
-        total: Number of keys, as far as it is known.
-        most: Largest number of a unit.
-    """
+    """Return how many keys of ``total`` a unit has, at most ``most``, so that there are enough for all workers."""
     width = 1 if context.executor is None else context.executor.width
-    return most if width == 1 else max(1, min(most, -(-total // (UNITS_EACH * width))))
+    return most if width == 1 else max(1, min(most, -(-total // (WORK.units_per_worker * width))))
 
 
 @dataclass(slots=True)
@@ -141,7 +128,7 @@ class _Handing:
     @property
     def most(self) -> int:
         """How many units are handed out at once."""
-        return 1 if self.context.executor is None else AHEAD * self.context.executor.width
+        return 1 if self.context.executor is None else WORK.units_ahead * self.context.executor.width
 
     def begin(self, handed: _Handed) -> None:
         """Let a unit be done, here or by a worker."""
@@ -154,7 +141,7 @@ class _Handing:
 
     def collect(self) -> None:
         """Wait until units are done; hand those out again that failed."""
-        ended, _ = wait(self.handed, LOOK_S, FIRST_COMPLETED)
+        ended, _ = wait(self.handed, WORK.stop_check_s, FIRST_COMPLETED)
         if not ended and self.context.executor is not None:
             self.context.executor.look()
         for future in ended:
@@ -174,7 +161,7 @@ class _Handing:
         else:
             handed.ended += 1
         # each key is set aside once it has ended so many workers; a unit is claimed anew each time
-        if handed.failed >= MOST_TRIES or handed.ended > MOST_ENDED * len(handed.unit.keys):
+        if handed.failed >= WORK.most_tries or handed.ended > MOST_ENDED * len(handed.unit.keys):
             gone = WorkFailedError(f"workers are gone: {type(error).__name__} {error}")
             raise error if isinstance(error, WorkFailedError) else gone
         self.begin(handed)

@@ -18,18 +18,17 @@ from scipy.ndimage import uniform_filter1d
 
 from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.integration import Gates, IntegratedWindow, SignalParameters, bridged, integrate
+from estimation.motion.parameters import MOTION
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, runs
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackLayout
-from estimation.values.windows import Window, WindowQuality
-from estimation.vehicle.vehicle_class import GRAVITY
-
-GRID_STEP = 1.0  # m, to which a layout is refined before it is looked at
+from estimation.values.units import GRAVITY
+from estimation.values.windows import Window, WindowQuality, fast_enough
 
 
 def straight(distance: FloatArray, layout: TrackLayout, limits: SignalParameters) -> BoolArray:
     """Return which places (n,) are on track that is straight within ``limits``; places off the layout do not."""
-    grid = np.union1d(np.arange(layout.s[0], layout.s[-1], GRID_STEP), layout.s)
+    grid = np.union1d(np.arange(layout.s[0], layout.s[-1], MOTION.layout_step), layout.s)
     bent = (np.abs(np.interp(grid, layout.s, layout.curvature)) > limits.sharpest_curvature) | (
         np.abs(np.interp(grid, layout.s, layout.cant)) > limits.highest_cant
     )
@@ -41,9 +40,6 @@ def straight(distance: FloatArray, layout: TrackLayout, limits: SignalParameters
     return np.asarray(on_layout & (near[last] == near[first]))
 
 
-MOST_AT_REST = 1.4  # m/s2, of a lateral accelerometer on straight track: its offset, and g times its angle
-
-
 def check_upright(window: Window, usable: BoolArray) -> Reason | None:
     """Return that a lateral accelerometer is turned about the longitudinal axis; None where it is not."""
     # It then measures a part of gravity at rest: of 8 degrees 1.4 m/s2. Vertical motion is in its signal too, and
@@ -53,20 +49,15 @@ def check_upright(window: Window, usable: BoolArray) -> Reason | None:
     places = {"axle box": window.lateral_acceleration, "mass or frame": window.mass_lateral_acceleration}
     means = {name: float(np.mean(values[usable])) for name, values in places.items()}
     name = max(means, key=lambda place: abs(means[place]))
-    if abs(means[name]) <= MOST_AT_REST:
+    if abs(means[name]) <= MOTION.most_rest_acceleration:
         return None
     angle = np.degrees(np.arcsin(min(abs(means[name]) / GRAVITY, 1.0)))
     return Reason(
         ReasonCode.SENSOR_TURNED,
         f"the lateral accelerometer of the {name} measures {means[name]:+.1f} m/s2 on average, like one that is turned"
-        f" by {angle:.0f} degrees; at most {MOST_AT_REST:g} m/s2 may be its offset; check its mounting, and its offset"
-        " in the mapping of the bus",
+        f" by {angle:.0f} degrees; at most {MOTION.most_rest_acceleration:g} m/s2 may be its offset;"
+        " check its mounting, and its offset in the mapping of the bus",
     )
-
-
-MEAN_S = 5.0  # over which the motion of the wheelset averages out
-
-LEAST_SHARE = 0.5  # of the samples that a mean needs
 
 
 def detect_uncompensated_acceleration(
@@ -85,13 +76,13 @@ def detect_uncompensated_acceleration(
 
 def cant_deficiency_acceleration_range(window: Window, usable: BoolArray) -> float:
     """Return by how much the slow lateral acceleration of wheelset and mass together changes in a window, m/s2."""
-    size = round(MEAN_S / window.sample_interval_s)
+    size = round(MOTION.mean_span_s / window.sample_interval_s)
     count = len(usable) // size
     known = usable[: count * size].reshape(count, size)
     lateral = 0.5 * (window.lateral_acceleration + window.mass_lateral_acceleration)[: count * size].reshape(
         count, size
     )
-    enough = known.mean(axis=1) >= LEAST_SHARE
+    enough = known.mean(axis=1) >= MOTION.least_mean_share
     if not enough.any():
         return 0.0
     means = np.where(known, lateral, 0.0).sum(axis=1)[enough] / known.sum(axis=1)[enough]
@@ -101,7 +92,8 @@ def cant_deficiency_acceleration_range(window: Window, usable: BoolArray) -> flo
 def straight_part(window: Window, layout: TrackLayout | None, parameters: SignalParameters) -> Window | Reason:
     """Return the window with samples in curves not valid, or why none is left; without a layout, if it shows one."""
     if layout is None:
-        return check_lateral(window, window.valid & fast_enough(window, parameters), layout, parameters) or window
+        fast = window.valid & fast_enough(window.speed, parameters.least_speed_m_s)
+        return check_lateral(window, fast, layout, parameters) or window
     left = window.valid & straight(window.distance, layout, parameters)
     if not left.any() and window.valid.any():
         return Reason(ReasonCode.IN_CURVES, "all of the window is in curves")
@@ -118,14 +110,9 @@ def check_lateral(
     return detect_uncompensated_acceleration(window, usable, parameters.max_cant_deficiency_change)
 
 
-def fast_enough(window: Window, parameters: SignalParameters) -> BoolArray:
-    """Return the samples (n,) of known speed at which the vehicle runs fast enough to be measured."""
-    return np.asarray(window.speed >= parameters.least_speed_m_s)
-
-
 def moving_samples(window: Window, parameters: SignalParameters) -> BoolArray:
     """Return the valid samples (n,) at known positions at which the vehicle runs fast enough."""
-    return window.valid & np.isfinite(window.distance) & fast_enough(window, parameters)
+    return window.valid & np.isfinite(window.distance) & fast_enough(window.speed, parameters.least_speed_m_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +136,7 @@ def usable_samples(
     tests = {
         "missing, clipped or invalid": window.valid,
         "off the known part of the section": known,
-        f"slower than {parameters.least_speed_m_s:g} m/s": fast_enough(window, parameters),
+        f"slower than {parameters.least_speed_m_s:g} m/s": fast_enough(window.speed, parameters.least_speed_m_s),
     }
     if layout is not None:
         tests["in curves"] = straight(window.distance, layout, parameters)
@@ -158,15 +145,6 @@ def usable_samples(
         lost[cause] = float((left & ~passed).mean())
         left &= passed
     return Usable(left, lost)
-
-
-LOOK_S = 1.0  # over which positions are compared with the speed
-JUMP = 0.5  # m
-JUMP_SHARE = 0.05  # of the distance run
-BACKWARDS = -0.3  # correlation of the lateral velocity with speed times yaw, 1 of an axle that rolls forward
-UNRELATED = 0.25  # of sensors that are not on these axes: a turned one has up to 0.15, stiff bogies have 0.8
-SMOOTHED_S = 0.04  # vibration is faster
-ONE_WAY = 0.98  # share of the samples that must lead one way
 
 
 def gate(quality: WindowQuality, track_section: str | None, gates: Gates) -> Reason | None:
@@ -217,7 +195,7 @@ def check_moving(window: Window, signals: SignalParameters) -> Reason | None:
     known = window.valid & np.isfinite(window.distance)
     if not known.any():
         return Reason(ReasonCode.POSITION_UNKNOWN, "no sample has a position on the section")
-    running = known & fast_enough(window, signals)
+    running = known & fast_enough(window.speed, signals.least_speed_m_s)
     if not running.any():
         fastest = float(np.nanmax(np.where(known, window.speed, np.nan), initial=0.0))
         return Reason(
@@ -235,8 +213,10 @@ def position_jumps(integrated: IntegratedWindow) -> tuple[Jump, ...]:
     for segment in integrated.segments:
         at, run = bridged(window.distance[segment.part], segment.known), segment.run
         error = at - (1.0 if float(np.median(np.diff(at))) >= 0.0 else -1.0) * run
-        look = min(round(LOOK_S / window.sample_interval_s), len(at) - 1)
-        deviates = np.abs(error[look:] - error[:-look]) > JUMP + JUMP_SHARE * (run[look:] - run[:-look])
+        look = min(round(MOTION.comparison_s / window.sample_interval_s), len(at) - 1)
+        deviates = np.abs(error[look:] - error[:-look]) > MOTION.position_jump + MOTION.position_jump_share * (
+            run[look:] - run[:-look]
+        )
         for first, behind in runs(deviates):
             # each such second holds the jump, so it is in what they share; where they share nothing all is in doubt
             low, high = int(behind) - 1, int(first) + look
@@ -276,9 +256,9 @@ def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
     # with one of the two sensors the wrong way round, the sign is the other. Where one of the two is on another axis,
     # or measures something else, they have nothing in common.
     correlation = lateral_yaw_correlation(integrated)
-    if correlation is None or correlation >= UNRELATED:
+    if correlation is None or correlation >= MOTION.unrelated_correlation:
         return None
-    if correlation >= BACKWARDS:
+    if correlation >= MOTION.backwards_correlation:
         return Reason(
             ReasonCode.SENSOR_TURNED,
             f"lateral velocity and yaw of the wheelset have nothing in common (correlation {correlation:.2f}): a sensor"
@@ -294,7 +274,8 @@ def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
 def lateral_yaw_correlation(integrated: IntegratedWindow) -> float | None:
     """Return the correlation of lateral velocity with speed times yaw, vibration apart; None where nothing moves."""
     products, lateral, yaw = 0.0, 0.0, 0.0
-    second, fast = (round(length / integrated.window.sample_interval_s) for length in (LOOK_S, SMOOTHED_S))
+    interval_s = integrated.window.sample_interval_s
+    second, fast = round(MOTION.comparison_s / interval_s), round(MOTION.smoothing_s / interval_s)
     for segment in integrated.segments:
         both = np.stack([segment.rates[0], segment.speed * segment.displacements[1]])
         a, b = (high_pass_running_mean(row, second) for row in uniform_filter1d(both, max(fast, 1)))
@@ -320,7 +301,7 @@ def direction(window: Window) -> int:
     if not len(moving):
         return 1
     forward = float((moving > 0.0).mean())
-    return 1 if forward >= ONE_WAY else -1 if forward <= 1.0 - ONE_WAY else 0
+    return 1 if forward >= MOTION.one_way_share else -1 if forward <= 1.0 - MOTION.one_way_share else 0
 
 
 def check_running(window: Window, signals: SignalParameters) -> Reason | None:
@@ -340,13 +321,11 @@ def runs_backwards(window: Window) -> bool | None:
     """Return whether the axes of a node point against the direction of travel; None where it does not say."""
     signals = SignalParameters()
     correlation = lateral_yaw_correlation(integrate(window, moving_samples(window, signals), signals))
-    if correlation is None or abs(correlation) < abs(BACKWARDS):
+    if correlation is None or abs(correlation) < abs(MOTION.backwards_correlation):
         return None
     return correlation < 0.0
 
 
-MARGIN = 25.0  # m kept from a stretch of low friction: half a place
-MOST_LEFT_OUT = 0.25  # share of the samples from which low friction is why too few are left
 TOO_LITTLE = frozenset({ReasonCode.NO_USABLE_SAMPLE, ReasonCode.INTERRUPTED, ReasonCode.TOO_FEW_USABLE})
 
 
@@ -359,7 +338,7 @@ def away_from_low_adhesion(
     distance = window.distance if correction is None else correction.at(window.distance)
     low = np.zeros(len(window.valid), np.bool_)
     for begin, end in stretches:
-        low |= (distance >= begin - MARGIN) & (distance <= end + MARGIN)
+        low |= (distance >= begin - MOTION.low_friction_margin) & (distance <= end + MOTION.low_friction_margin)
     left = window.valid & ~low
     if not left.any() and window.valid.any():
         return Reason(ReasonCode.LOW_ADHESION, "all of the window is on rails of low friction")
@@ -369,7 +348,7 @@ def away_from_low_adhesion(
 def refused_for_low_adhesion(reason: Reason, window: Window, kept: Window) -> Reason:
     """Return why a window is refused: low friction, where that took most of its samples and too few are left."""
     share = 1.0 - float(kept.valid.sum()) / max(int(window.valid.sum()), 1)
-    if share < MOST_LEFT_OUT or reason.code not in TOO_LITTLE:
+    if share < MOTION.most_left_out_share or reason.code not in TOO_LITTLE:
         return reason
     text = f"{share:.0%} of its samples are on rails of low friction; of the rest: {reason.text}"
     return Reason(ReasonCode.LOW_ADHESION, text)

@@ -20,21 +20,36 @@ import numpy.typing as npt
 from estimation.compiled import compiled
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.windows import NOT_HUNTING, Hunting, WindowQuality
+from estimation.values.windows import NOT_HUNTING, Hunting, WindowQuality, fast_enough
 
-BLOCK_S = 5.0  # over which the oscillation must be sustained
-LEAST_SPEED = 8.0  # m/s
-LEAST_KNOWN = 0.3  # share of a block's samples; what is between is bridged straight
-LONGEST, SHORTEST = 40.0, 3.5  # m, wavelengths of hunting; a wheel out of round has less
-LEAST_FREQUENCY = 0.8  # Hz
-LINE = (0.75, 1.33)  # of the peak's frequency
-# amplitude from which on, m; least share of the displacement's power in the line; its largest relative width
-STEADY = (2.5e-3, 0.55, 0.05)
-FLANGE_TO_FLANGE = (5e-3, 0.9, 0.11)  # of which rough track disturbs the rhythm
-LEAST_COHERENCE = 0.8  # between lateral and yaw acceleration in the line
-MOST_PHASE = np.pi / 3.0  # from the kinematic mode
-GAINS = (0.3, 3.0)  # of yaw, times what the kinematic mode has
-DOUBT = 1e-6  # relative: blocks this near to a limit are looked at once more
+
+@dataclass(frozen=True, slots=True)
+class HuntingParameters:
+    """What hunting is."""
+
+    block_s: float = 5.0  # over which the oscillation must be sustained
+    least_speed: float = 8.0  # m/s
+    least_known_share: float = 0.3  # share of a block's samples; what is between is bridged straight
+    longest_wave: float = 40.0  # m, wavelengths of hunting; a wheel out of round has less
+    shortest_wave: float = 3.5
+    least_frequency: float = 0.8  # Hz
+    line_band: tuple[float, float] = (0.75, 1.33)  # of the peak's frequency
+    # amplitude from which on, m; least share of the displacement's power in the line; its largest relative width
+    steady_limits: tuple[float, float, float] = (2.5e-3, 0.55, 0.05)
+    flange_limits: tuple[float, float, float] = (5e-3, 0.9, 0.11)  # of which rough track disturbs the rhythm
+    least_coherence: float = 0.8  # between lateral and yaw acceleration in the line
+    most_phase: float = np.pi / 3.0  # from the kinematic mode
+    gain_range: tuple[float, float] = (0.3, 3.0)  # of yaw, times what the kinematic mode has
+    doubt_share: float = 1e-6  # relative: blocks this near to a limit are looked at once more
+
+
+HUNTS = HuntingParameters()
+LONGEST, SHORTEST = HUNTS.longest_wave, HUNTS.shortest_wave
+LEAST_FREQUENCY = HUNTS.least_frequency
+LINE = HUNTS.line_band
+STEADY = HUNTS.steady_limits
+FLANGE_TO_FLANGE = HUNTS.flange_limits
+DOUBT = HUNTS.doubt_share
 QUALITY_REASONS = frozenset(
     {
         ReasonCode.TOO_FEW_SAMPLES,
@@ -66,12 +81,9 @@ class _Line:
             self.amplitude >= amplitude and self.share >= share and self.width <= width
             for amplitude, share, width in (STEADY, FLANGE_TO_FLANGE)
         )
-        return (
-            sustained
-            and self.coherence >= LEAST_COHERENCE
-            and abs(self.phase) <= MOST_PHASE
-            and GAINS[0] <= self.gain <= GAINS[1]
-        )
+        least, most = HUNTS.gain_range
+        kinematic = abs(self.phase) <= HUNTS.most_phase and least <= self.gain <= most
+        return sustained and kinematic and self.coherence >= HUNTS.least_coherence
 
 
 def find_hunting(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interval_s: float) -> Hunting:
@@ -79,11 +91,11 @@ def find_hunting(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interv
 
     ``lateral`` and ``yaw`` (n,) are as the sensors gave them, clipped samples too; NaN where nothing is known.
     """
-    size = round(BLOCK_S / interval_s)
+    size = round(HUNTS.block_s / interval_s)
     blocks = (len(lateral) // size, size)
     lateral, yaw, speed = (signal[: blocks[0] * size].reshape(blocks) for signal in (lateral, yaw, speed))
     fast = np.nan_to_num(np.mean(speed, axis=1))
-    at = np.flatnonzero(fast >= LEAST_SPEED)
+    at = np.flatnonzero(fast_enough(fast, HUNTS.least_speed))
     running = len(at)
     found = []
     for block in at[_may_hunt(lateral[at], yaw[at], fast[at], interval_s)]:
@@ -101,7 +113,7 @@ def find_hunting(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interv
 def _may_hunt(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interval_s: float) -> BoolArray:
     """Return of which blocks (k,) the lateral motion alone is enough for hunting; most are not looked at further."""
     known = np.isfinite(lateral) & np.isfinite(yaw)
-    enough = known.mean(axis=1) >= LEAST_KNOWN
+    enough = known.mean(axis=1) >= HUNTS.least_known_share
     if not known.all():
         lateral = lateral.copy()
         at = np.arange(lateral.shape[1])
@@ -170,7 +182,7 @@ def _window(size: int) -> tuple[FloatArray, float]:
 
 def _line(lateral: FloatArray, yaw: FloatArray, speed: float, interval_s: float) -> _Line | None:
     known = np.isfinite(lateral) & np.isfinite(yaw)
-    if known.mean() < LEAST_KNOWN:
+    if known.mean() < HUNTS.least_known_share:
         return None
     at = np.arange(len(lateral))
     window, window_power = _window(len(lateral))

@@ -30,9 +30,12 @@ import numpy as np
 from estimation.compiled import compiled
 from estimation.errors import ParameterError
 from estimation.filters import remove_wander
+from estimation.motion.parameters import MOTION
 from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS, Window
-from estimation.vehicle.vehicle_class import GRAVITY, RAIL_HEAD_RADIUS, VehicleClass, VehicleParameters, usable_cutoff
+from estimation.vehicle.parameters import VEHICLE
+from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters, usable_cutoff
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,7 +265,7 @@ def _integrated(window: Window, known: BoolArray, part: slice) -> IntegratedSegm
     run = np.empty_like(speed)
     integrate_once(speed, dt, run)
     if window.measures_gravity:
-        (roll,) = remove_wander(displacements[[_ROLL]], run, known, ROLL_CUTOFF)
+        (roll,) = remove_wander(displacements[[_ROLL]], run, known, MOTION.longest_roll_wave)
         lateral = accelerations[_LATERAL] - GRAVITY * roll
         lateral_rates, lateral_displacements = np.empty_like(lateral), np.empty_like(lateral)
         integrate_twice(lateral, dt, lateral_rates, lateral_displacements)
@@ -283,12 +286,8 @@ def _integrated(window: Window, known: BoolArray, part: slice) -> IntegratedSegm
     )
 
 
-ROLL_CUTOFF = 120.0  # m: of longer waves the roll is drift, which two more integrals would make grow beyond all filters
 _ROLL = ACCELERATIONS.index("roll_acceleration")
 _LATERAL = [ACCELERATIONS.index("lateral_acceleration"), ACCELERATIONS.index("mass_lateral_acceleration")]
-
-
-HIDDEN_SHARE = 0.009  # rho phi_c over y - d + r0 phi, median of 157 pairs: 0.001 for cones at 1:40, 0.02 where worn
 
 
 def standard_displacement(displacement: FloatArray, roll: FloatArray, radius: float, *, level: bool) -> FloatArray:
@@ -299,10 +298,10 @@ def standard_displacement(displacement: FloatArray, roll: FloatArray, radius: fl
         level: Whether gravity has been taken out of the lateral signals: the track may roll.
     """
     seen = observed_displacement(displacement, roll, radius, level=level)
-    return seen * (1.0 + HIDDEN_SHARE) if level else seen
+    return seen * (1.0 + MOTION.hidden_roll_share) if level else seen
 
 
 def observed_displacement(displacement: FloatArray, roll: FloatArray, radius: float, *, level: bool) -> FloatArray:
     """Return the same (n,), m, as far as it is measured; for a displacement from which no alignment is taken off."""
-    height = radius if level else radius + RAIL_HEAD_RADIUS
+    height = radius if level else radius + VEHICLE.rail_head_radius
     return displacement + height * roll

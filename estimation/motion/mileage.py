@@ -15,24 +15,19 @@ from itertools import pairwise
 
 import numpy as np
 
+from estimation.motion.parameters import MOTION
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
 from estimation.values.roll_up import Odometer
+from estimation.values.units import DAY_S, HOUR_S, SECOND_NS
 from estimation.values.windows import MileageReading, WindowRecord
-
-NANOSECONDS = 1_000_000_000
-MOST_KM = 1e8  # of a wheelset; the registry takes no more either
-SLACK_KM = 50.0  # of readings and times that people enter
-FASTER = 1.25  # times the greatest speed on file that a vehicle may run
-PAUSE_NS = 1800 * NANOSECONDS  # between windows that begins a new journey
-ALIKE = 2  # journeys that agree with each other are no garbled recording, but an odometer
 
 
 def implausible_mileages(
     readings: Sequence[MileageReading], mounting: Mounting, max_speed_m_s: float
 ) -> Mapping[int, Reason]:
     """Return by start of window why its mileage is not believed; those that are not in it are."""
-    km_per_ns = FASTER * max_speed_m_s / 1000.0 / NANOSECONDS
+    km_per_ns = MOTION.speed_slack_factor * max_speed_m_s / 1000.0 / SECOND_NS
     found: dict[int, Reason] = {}
     left = []
     for reading in sorted(readings, key=lambda one: one.start_ns):
@@ -53,7 +48,7 @@ def without_doubt(readings: Sequence[MileageReading], mounting: Mounting, max_sp
     """Whether nothing speaks against any reading."""
     # Where that holds of all readings of a mounting it also holds of any of them. So it holds of all and new ones as
     # soon as it holds of the new ones with those beside them.
-    km_per_ns = FASTER * max_speed_m_s / 1000.0 / NANOSECONDS
+    km_per_ns = MOTION.speed_slack_factor * max_speed_m_s / 1000.0 / SECOND_NS
     ordered = sorted(readings, key=lambda one: one.start_ns)
     return all(_follows(*pair, km_per_ns) for pair in pairwise(ordered)) and all(
         _alone(one, mounting, km_per_ns) is None for one in ordered
@@ -75,10 +70,10 @@ def _alone(reading: MileageReading, mounting: Mounting, km_per_ns: float) -> Rea
     mileage = reading.mileage_km
     text = ""
     run = mileage - mounting.wheelset_mileage_km
-    farthest = SLACK_KM + km_per_ns * (reading.start_ns - mounting.from_ns)
-    if not np.isfinite(mileage) or abs(mileage) > MOST_KM:
+    farthest = MOTION.slack_km + km_per_ns * (reading.start_ns - mounting.from_ns)
+    if not np.isfinite(mileage) or abs(mileage) > MOTION.most_mileage_km:
         text = f"a mileage of {mileage:g} km is none of a wheelset"
-    elif run < -SLACK_KM:
+    elif run < -MOTION.slack_km:
         text = f"the odometer is {-run:,.0f} km below its reading at the mounting"
     elif run > farthest:
         text = f"the wheelset would have run {run:,.0f} km since its mounting, {farthest:,.0f} km are possible"
@@ -92,7 +87,7 @@ def _believed(readings: Sequence[MileageReading], km_per_ns: float) -> Sequence[
         return readings
     chain = _longest_chain(readings, km_per_ns)
     before = [one for one in readings if one.start_ns < chain[0].start_ns]
-    if before and _journeys(_longest_chain(before, km_per_ns)) >= ALIKE:
+    if before and _journeys(_longest_chain(before, km_per_ns)) >= MOTION.agreeing_journeys:
         return _believed(before, km_per_ns)
     members = {one.start_ns for one in chain}
     run: list[MileageReading] = []  # in a row that are not in the chain
@@ -101,7 +96,7 @@ def _believed(readings: Sequence[MileageReading], km_per_ns: float) -> Sequence[
             run.append(reading)
             continue
         tail = _led_here([*run, reading], km_per_ns)
-        if run and tail[0].start_ns > chain[0].start_ns and _journeys(tail[:-1]) >= ALIKE:
+        if run and tail[0].start_ns > chain[0].start_ns and _journeys(tail[:-1]) >= MOTION.agreeing_journeys:
             return _believed(readings[: at + 1 - len(tail)], km_per_ns)  # another odometer, that caught up
         run = []
     return chain
@@ -143,13 +138,8 @@ def _longest_chain(readings: Sequence[MileageReading], km_per_ns: float) -> list
 
 
 def _journeys(readings: Sequence[MileageReading]) -> int:
-    return bool(readings) + sum(second.start_ns - first.start_ns > PAUSE_NS for first, second in pairwise(readings))
-
-
-FASTEST_KM_S = 0.15  # that a vehicle runs for an hour
-HOUR_S = 3600.0
-MOST_KM_DAY = 3000.0  # that a vehicle runs on every day
-DAY_S = 86_400.0
+    pauses_ns = (second.start_ns - first.start_ns for first, second in pairwise(readings))
+    return bool(readings) + sum(pause_ns > MOTION.journey_pause_ns for pause_ns in pauses_ns)
 
 
 def running_mileage(windows: Sequence[WindowRecord]) -> list[float]:
@@ -171,7 +161,7 @@ def first_reading(windows: Iterable[WindowRecord]) -> Odometer:
 
 def known_mileage(stored_km: float) -> float:
     """Return a stored mileage, NaN where no wheelset can have run it."""
-    return stored_km if abs(stored_km) <= MOST_KM else math.nan
+    return stored_km if abs(stored_km) <= MOTION.most_mileage_km else math.nan
 
 
 def read(at: Odometer, window: WindowRecord) -> Odometer:
@@ -181,7 +171,7 @@ def read(at: Odometer, window: WindowRecord) -> Odometer:
     stored = known_mileage(window.mileage_km)
     if math.isnan(stored):
         return at
-    step, most = stored - at.last, most_km((window.start_ns - at.last_ns) / NANOSECONDS)
+    step, most = stored - at.last, most_km((window.start_ns - at.last_ns) / SECOND_NS)
     if 0.0 <= step <= most:
         # rounded twice where the odometer was exchanged once; it never goes back
         return Odometer(stored, max(at.last_km, stored + (at.last_km - at.last)), window.start_ns)
@@ -190,4 +180,4 @@ def read(at: Odometer, window: WindowRecord) -> Odometer:
 
 def most_km(seconds: float) -> float:
     """Return how far, km, a vehicle can have run in some seconds."""
-    return FASTEST_KM_S * min(seconds, HOUR_S) + MOST_KM_DAY * seconds / DAY_S
+    return MOTION.most_km_s * min(seconds, HOUR_S) + MOTION.most_km_day * seconds / DAY_S

@@ -63,18 +63,25 @@ def sample_smoothed(
     return found
 
 
-# where the two meet
-STEP = 0.25  # m, of the grid
-OVERSAMPLING = 5  # samples per step before short waves are taken out
-SHORTEST = (0.5, 2.0)  # m, of which half remains: of quiet axle boxes, of those that vibrate
-VIBRATING = 0.08e-3  # rad of (y' + r0 phi')/V in waves shorter than 2 m; quiet axle boxes have half of it
-CROSSOVER = 15.0  # m: longer wavelengths come from the lateral motion
-COMPARED = (8.0, 40.0)  # m, in which g is estimated
-MARGIN = 45.0  # m at each end that is not compared
-GRAVITY = -0.2  # g known beforehand, 1/m
-GRAVITY_WEIGHT = 1.6e-4  # m2: squares of the regressor that the knowledge beforehand is worth
-ANGLE_PER_RADIUS = 112.0  # 1/m: contact angle difference over rolling radius difference of usual pairs
-LEAST_DIVISOR = 0.5  # of the factors known beforehand
+@dataclass(frozen=True, slots=True)
+class FusionParameters:
+    """How roll and yaw become one rolling radius difference."""
+
+    # where the two meet
+    grid_step: float = 0.25  # m, of the grid
+    oversampling: int = 5  # samples per step before short waves are taken out
+    shortest_waves: tuple[float, float] = (0.5, 2.0)  # m, half remains: quiet axle boxes, vibrating ones
+    vibration_angle: float = 0.08e-3  # rad of (y' + r0 phi')/V in waves shorter than 2 m; quiet axle boxes have half
+    crossover_wavelength: float = 15.0  # m: longer wavelengths come from the lateral motion
+    compared_waves: tuple[float, float] = (8.0, 40.0)  # m, in which g is estimated
+    end_margin: float = 45.0  # m at each end that is not compared
+    prior_gravity: float = -0.2  # g known beforehand, 1/m
+    prior_weight: float = 1.6e-4  # m2: squares of the regressor that the knowledge beforehand is worth
+    angle_per_radius: float = 112.0  # 1/m: contact angle difference over rolling radius difference of usual pairs
+    least_divisor: float = 0.5  # of the factors known beforehand
+
+
+FUSED = FusionParameters()
 
 
 def long_waves_in_bogie(
@@ -91,38 +98,38 @@ def long_waves_in_bogie(
     inertia = p.yaw_inertia * V * V * _bend(rolling)
     terms = np.stack(
         [
-            per_slope * np.gradient(rolling, STEP),
+            per_slope * np.gradient(rolling, FUSED.grid_step),
             per_moment * (p.yaw_stiffness * (rolling - frame) + inertia),
             per_moment * p.yaw_stiffness * creep,
         ]
     )
     slow = np.asarray(_factors(R, terms, per_moment, p) @ terms)
-    return slow, np.asarray(slow - per_slope * np.gradient(rolling + creep, STEP))
+    return slow, np.asarray(slow - per_slope * np.gradient(rolling + creep, FUSED.grid_step))
 
 
 def _factors(R: FloatArray, terms: FloatArray, per_moment: float, p: VehicleParameters) -> FloatArray:
     """Return the factors (3,) of the terms (3, m) that bring them to R (m,) where both are good."""
-    gravity = -0.5 * ANGLE_PER_RADIUS * angle_difference_factor(p) / p.lateral_creep_coefficient
-    expected = np.full(len(terms), 1.0 / max(1.0 - per_moment * p.yaw_stiffness * gravity, LEAST_DIVISOR))
+    gravity = -0.5 * FUSED.angle_per_radius * angle_difference_factor(p) / p.lateral_creep_coefficient
+    expected = np.full(len(terms), 1.0 / max(1.0 - per_moment * p.yaw_stiffness * gravity, FUSED.least_divisor))
     band = _compared(np.concatenate([terms, R[None, :]]))
     if band is None:
         return expected
     design, target = band[:-1], band[-1]
-    normal = design @ design.T + GRAVITY_WEIGHT * np.eye(len(terms))
-    return np.asarray(np.linalg.solve(normal, design @ target + GRAVITY_WEIGHT * expected))
+    normal = design @ design.T + FUSED.prior_weight * np.eye(len(terms))
+    return np.asarray(np.linalg.solve(normal, design @ target + FUSED.prior_weight * expected))
 
 
 def _compared(rows: FloatArray) -> FloatArray | None:
     """Return rows (k, m) in the wavelengths at which both are good; None where the pass is too short."""
-    margin = int(MARGIN / STEP)
+    margin = int(FUSED.end_margin / FUSED.grid_step)
     if rows.shape[1] <= 3 * margin:
         return None
-    short, long = (local_cubic_kernel(wavelength, STEP) for wavelength in COMPARED)
+    short, long = (local_cubic_kernel(wavelength, FUSED.grid_step) for wavelength in FUSED.compared_waves)
     return np.asarray((high_pass(rows, long) - high_pass(rows, short))[:, margin:-margin])
 
 
 def _bend(yaw: FloatArray) -> FloatArray:
-    return np.asarray(np.gradient(np.gradient(yaw, STEP), STEP))
+    return np.asarray(np.gradient(np.gradient(yaw, FUSED.grid_step), FUSED.grid_step))
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +158,8 @@ class FusedSignals:
 
 def fuse(signals: MotionSignals, vehicle: VehicleParameters) -> FusedSignals:
     """Return y, R and its stiffness term on a grid; short waves of R from the yaw sensor, long ones from Eq. 1."""
-    run = np.arange(np.ceil(signals.run[0] / STEP), np.floor(signals.run[-1] / STEP) + 1) * STEP
+    step = FUSED.grid_step
+    run = np.arange(np.ceil(signals.run[0] / step), np.floor(signals.run[-1] / step) + 1) * step
     shortest = _shortest(signals, run)
     sampled = [
         signals.speed,
@@ -167,7 +175,7 @@ def fuse(signals: MotionSignals, vehicle: VehicleParameters) -> FusedSignals:
         slow = _long_waves(R, np.asarray(yaws[0] + yaws[1]), V, vehicle)
     else:
         slow = long_waves_in_bogie(R, yaws[0], yaws[1], yaws[2], V, vehicle)
-    weights = local_cubic_kernel(CROSSOVER, STEP)
+    weights = local_cubic_kernel(FUSED.crossover_wavelength, FUSED.grid_step)
     return FusedSignals(
         run=np.asarray(run, dtype=np.float64),
         displacement=y,
@@ -180,17 +188,17 @@ def _shortest(signals: MotionSignals, run: FloatArray) -> float:
     """Return the shortest wavelength, m, that is left in the signals of a pass."""
     # An axle box vibrates at tens of hertz. Sampled as it is, its vibration would look like waves of some metres. Where
     # it does not vibrate the short waves of R are those of contact jumps, which the curves need.
-    quiet, vibrating = SHORTEST
+    quiet, vibrating = FUSED.shortest_waves
     (smooth,) = _sampled(signals.rolling_yaw[None], signals.run, run, vibrating)
     rest = np.interp(run, signals.run, signals.rolling_yaw) - smooth
-    return vibrating if float(np.std(rest)) > VIBRATING else quiet
+    return vibrating if float(np.std(rest)) > FUSED.vibration_angle else quiet
 
 
 def _sampled(values: FloatArray, at: FloatArray, run: FloatArray, shortest: float) -> FloatArray:
     """Return values (s, n) at distances (n,) on the grid (s, m), waves shorter than ``shortest`` (m) taken out."""
-    step, first = STEP / OVERSAMPLING, OVERSAMPLING * round(run[0] / STEP)
+    step, first = FUSED.grid_step / FUSED.oversampling, FUSED.oversampling * round(run[0] / FUSED.grid_step)
     weights = local_cubic_kernel(shortest, step)
-    return sample_smoothed(values, np.asarray(at, dtype=np.float64), first, len(run), OVERSAMPLING, step, weights)
+    return sample_smoothed(values, np.asarray(at, dtype=np.float64), first, len(run), FUSED.oversampling, step, weights)
 
 
 def _long_waves(
@@ -214,7 +222,7 @@ def _stiffness_term(yaw: FloatArray, V: FloatArray, p: VehicleParameters) -> Flo
 
 def _difference(yaw: FloatArray, V: FloatArray, p: VehicleParameters) -> FloatArray:
     """Return R (m,) of a yaw angle over distance by Eq. 2, its small terms left out."""
-    rolling = -2 * p.half_contact_distance * p.nominal_radius * np.gradient(yaw, STEP)
+    rolling = -2 * p.half_contact_distance * p.nominal_radius * np.gradient(yaw, FUSED.grid_step)
     return np.asarray(rolling + _stiffness_term(yaw, V, p))
 
 
@@ -223,9 +231,10 @@ def _gravity(R: FloatArray, ψ: FloatArray, V: FloatArray, vehicle: VehicleParam
     lateral = _difference(ψ, V, vehicle)
     band = _compared(np.stack([_difference(lateral, V, vehicle), R - lateral]))
     if band is None:
-        return GRAVITY
+        return FUSED.prior_gravity
     regressor, target = band
-    return float((regressor @ target + GRAVITY_WEIGHT * GRAVITY) / (regressor @ regressor + GRAVITY_WEIGHT))
+    weight = FUSED.prior_weight
+    return float((regressor @ target + weight * FUSED.prior_gravity) / (regressor @ regressor + weight))
 
 
 def motion_signals(segment: IntegratedSegment, p: VehicleParameters, run: FloatArray | None = None) -> MotionSignals:

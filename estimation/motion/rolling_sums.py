@@ -25,11 +25,13 @@ from estimation.compiled import compiled
 from estimation.motion.axle_distance import turned_over
 from estimation.motion.checks import moving_samples, runs_backwards
 from estimation.motion.integration import SignalParameters, bridged, segments
+from estimation.motion.parameters import MOTION
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.roll_up import RollingSums
+from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS, Window
 from estimation.vehicle.linear_model import ComplexArray
-from estimation.vehicle.vehicle_class import GRAVITY, SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import SensorLayout, VehicleClass
 
 ROWS = 5  # spectra: y'', V psi', phi'', ym'' and psi_f'' of the bogie frame
 TERMS = 7  # the lateral acceleration, then the unknowns
@@ -186,13 +188,6 @@ def add_spectra(
                     of_noise[part[k], band, a, b] += weight * expected
 
 
-WAVELENGTHS = (2.5, 10.0)  # m: shorter ones are axle box vibration, longer ones noise
-BANDS = 6  # of equal ratio, longest wavelengths first
-PIECE_S = 8.0  # half of one overlaps the next
-TOGETHER = 4  # pieces that are transformed at once: what fits into the cache of a processor
-PART_S = 15.0  # of a window: what is left out as one by the jackknife
-USUAL_LATERAL, USUAL_ANGULAR = 1e-3, 2e-3  # m/s2 and rad/s2 per root hertz: MEMS sensors, where nothing is on file
-USUAL_RATE = 1e-4  # rad/s per root hertz, of a gyroscope
 UNKNOWNS = ("scale", "radius", "inertia", "suspension", "gravity", "curve")
 
 
@@ -203,7 +198,7 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
     if runs_backwards(window):
         window = turned_over(window)
     dt = window.sample_interval_s
-    size, each = round(PIECE_S / dt), round(PART_S / dt)
+    size, each = round(MOTION.piece_s / dt), round(MOTION.jackknife_part_s / dt)
     usable = moving_samples(window, signals)
     samples, starts = [], []
     for first, behind in segments(usable, window, signals):
@@ -211,7 +206,7 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
         starts.append(np.arange(0, behind - first - size + 1, size // 2))
     parts = [first + at for (first, _), of in zip(samples, starts, strict=True) for at in of]
     numbers = sorted({place // each for place in parts})
-    products, noise = np.zeros((2, len(numbers), BANDS, TERMS, TERMS))
+    products, noise = np.zeros((2, len(numbers), MOTION.wavelength_bands, TERMS, TERMS))
     for (first, rows), at in zip(samples, starts, strict=True):
         part = np.searchsorted(numbers, (first + at) // each)
         _add(rows, at, part, window, vehicle_class, size, products, noise)
@@ -234,9 +229,9 @@ def _add(
     dt, taper = window.sample_interval_s, _taper(size)
     unit = 0.5 * size / dt * float(np.mean(taper**2))  # of a squared spectrum per squared noise density
     densities = _densities(vehicle_class.sensors), _resolution_noise(window)
-    place = (dt, size, unit, _equation(vehicle_class), *densities, WAVELENGTHS)
-    for first in range(0, len(starts), TOGETHER):
-        some = slice(first, first + TOGETHER)
+    place = (dt, size, unit, _equation(vehicle_class), *densities, MOTION.wavelength_range)
+    for first in range(0, len(starts), MOTION.pieces_together):
+        some = slice(first, first + MOTION.pieces_together)
         speeds = np.empty(len(starts[some]))
         pieces = np.empty((len(speeds), ROWS, size))
         write_pieces(rows, starts[some], dt, taper, pieces, speeds)
@@ -276,11 +271,7 @@ def _resolution_noise(window: Window) -> FloatArray:
 
 
 def _densities(sensors: SensorLayout) -> FloatArray:
-    usual = (USUAL_LATERAL, USUAL_ANGULAR, USUAL_ANGULAR, USUAL_LATERAL)
-    rates = (False, sensors.yaw_is_gyroscope, sensors.roll_is_gyroscope, False)
-    return np.square(
-        [
-            one.noise_density or (USUAL_RATE if rate else density)
-            for one, density, rate in zip(sensors.channels.values(), usual, rates, strict=True)
-        ]
-    )
+    lateral, angular, rate = MOTION.usual_lateral_noise, MOTION.usual_angular_noise, MOTION.usual_rate_noise
+    yaw, roll = (rate if gyro else angular for gyro in (sensors.yaw_is_gyroscope, sensors.roll_is_gyroscope))
+    channels = zip(sensors.channels.values(), (lateral, yaw, roll, lateral), strict=True)
+    return np.square([channel.noise_density or usual for channel, usual in channels])

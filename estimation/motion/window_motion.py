@@ -22,7 +22,6 @@ from estimation.motion.checks import (
     check_lateral,
     check_running,
     direction,
-    fast_enough,
     gate,
     moving_samples,
     usable_samples,
@@ -37,17 +36,16 @@ from estimation.motion.integration import (
     mirrored,
     standard_displacement,
 )
-from estimation.motion.rolling_radius_difference import CROSSOVER, STEP, fuse, motion_signals
+from estimation.motion.parameters import MOTION
+from estimation.motion.rolling_radius_difference import FUSED, fuse, motion_signals
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array, runs
+from estimation.values.memory import MEMORY
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
-from estimation.values.windows import OF_FRAME, Motion, Window
+from estimation.values.units import SECOND_NS
+from estimation.values.windows import OF_FRAME, Motion, Window, fast_enough
+from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import VehicleParameters, displacement_noise
-
-FEWEST_POINTS = 4  # of a spline
-POINTS = 512  # of the alignment in a piece
-SPLINE_MARGIN = 20  # points beyond a piece, so that the ends of its spline do not matter
-PIECES = 256  # that are kept, 16 kB each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,26 +64,26 @@ def at_places(curve: SampledCurve, places: FloatArray) -> FloatArray:
         return found
     low, high = inside.min(), inside.max()
     last_point = len(curve.s) - 1
-    first = min(max(int(np.searchsorted(curve.s, low)) - 1, 0), last_point - 1) // POINTS
-    last = max(min(int(np.searchsorted(curve.s, high)), last_point) - 1, 0) // POINTS
+    first = min(max(int(np.searchsorted(curve.s, low)) - 1, 0), last_point - 1) // MEMORY.spline_points
+    last = max(min(int(np.searchsorted(curve.s, high)), last_point) - 1, 0) // MEMORY.spline_points
     pieces = [_piece(curve, number) for number in range(first, last + 1)]
     coefficients = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
-    s = curve.s[first * POINTS : first * POINTS + len(coefficients) + 1]
+    s = curve.s[first * MEMORY.spline_points : first * MEMORY.spline_points + len(coefficients) + 1]
     if len(coefficients):
         places, coefficients = (frozen_array(one, one.shape, name="places") for one in (places, coefficients))
         evaluate(places, s, coefficients, found)
     return found
 
 
-@lru_cache(maxsize=PIECES)
+@lru_cache(maxsize=MEMORY.alignment_splines)
 def _piece(curve: SampledCurve, number: int) -> FloatArray:
     """Return the coefficients (m, 4) of the spline in a piece, highest power first; NaN beside unknown points."""
-    begin, end = number * POINTS, min((number + 1) * POINTS, len(curve.s) - 1)
-    first = max(begin - SPLINE_MARGIN, 0)
-    values = curve.values[first : end + 1 + SPLINE_MARGIN]
+    begin, end = number * MEMORY.spline_points, min((number + 1) * MEMORY.spline_points, len(curve.s) - 1)
+    first = max(begin - MOTION.spline_margin, 0)
+    values = curve.values[first : end + 1 + MOTION.spline_margin]
     known = first + np.flatnonzero(np.isfinite(values))
     coefficients = np.full((max(end - begin, 0), 4), np.nan)
-    if len(known) >= FEWEST_POINTS:
+    if len(known) >= MOTION.fewest_spline_points:
         spline = CubicSpline(curve.s[known], curve.values[known])
         beside = np.flatnonzero((np.diff(known) == 1) & (known[:-1] >= begin) & (known[:-1] < end))
         coefficients[known[beside] - begin] = spline.c[:, beside].T
@@ -112,39 +110,27 @@ def evaluate(places: FloatArray, s: FloatArray, coefficients: FloatArray, found:
             found[i] = ((a * t + b) * t + c) * t + d
 
 
-FULL_BAND_FACTOR = 2.0  # times the wavelength that is looked at: an alignment that reaches further holds it unchanged
-
-TRACKS = 16  # sections whose deconvolved alignment is kept: every window of a section needs it
-
-
 def alignment_at(distance: FloatArray, track: TrackAlignment, cutoff_wavelength: float) -> FloatArray:
     """Return d (n,), m, by a cubic spline through the stored alignment; NaN off the section and where not known."""
-    as_it_is = track.cutoff_wavelength >= FULL_BAND_FACTOR * cutoff_wavelength
+    as_it_is = track.cutoff_wavelength >= MOTION.full_band_factor * cutoff_wavelength
     return at_places(_curve(track, as_it_is=as_it_is), distance)
 
 
-@lru_cache(maxsize=2 * TRACKS)
+@lru_cache(maxsize=2 * MEMORY.deconvolved_tracks)
 def _curve(track: TrackAlignment, *, as_it_is: bool) -> SampledCurve:
     return SampledCurve(track.s, _certain(track) if as_it_is else deconvolved(track))
-
-
-UNCERTAIN_STD = 0.25e-3  # m, of an alignment at a place from which on it is left out, where most of it is far better:
-UNCERTAIN_TIMES = 3.0  # times the median
 
 
 def _certain(track: TrackAlignment) -> FloatArray:
     # places of a survey that no pass has made better would blur what the rest shows
     if not (track.passes > 0).any():
         return track.alignment
-    most = max(UNCERTAIN_STD, UNCERTAIN_TIMES * float(np.nanmedian(track.alignment_std)))
+    most = max(MOTION.uncertain_std, MOTION.uncertain_factor * float(np.nanmedian(track.alignment_std)))
     certain = np.where(track.alignment_std <= most, track.alignment, np.nan)
     return frozen_array(certain, (len(certain),), name="alignment")
 
 
-REGULARISATION = 0.03  # e: where F leaves less than about this, less is undone
-
-
-@lru_cache(maxsize=TRACKS)
+@lru_cache(maxsize=MEMORY.deconvolved_tracks)
 def deconvolved(track: TrackAlignment) -> FloatArray:
     """Return the alignment (n,), m, with F undone; as it is where the track has no cut-off.
 
@@ -170,11 +156,8 @@ def _regularised_inverse(filtered: FloatArray, weights: FloatArray) -> FloatArra
     kernel = np.zeros(size)
     kernel[: len(weights)] = weights
     left = 1 - fft.rfft(np.roll(kernel, -(len(weights) // 2))).real  # F by wavenumber: the weights are symmetric
-    inverse = left / (left**2 + REGULARISATION**2)
+    inverse = left / (left**2 + MOTION.inverse_floor**2)
     return np.asarray(fft.irfft(fft.rfft(filtered, size) * inverse, size)[:n])
-
-
-CUTOFF_WAVELENGTH = 120.0  # m, wavelength of rL - rR; what is longer is small: -2 l r0 d''
 
 
 def gauge_shift(
@@ -191,11 +174,11 @@ def gauge_shift(
     table = None if track.findings is None else track.findings.gauge_shifts.get(window.wheelset)
     if track.findings is None or table is None:
         return None
-    ends = STEP * (len(local_cubic_kernel(CROSSOVER, STEP)) // 2)
+    ends = FUSED.grid_step * (len(local_cubic_kernel(FUSED.crossover_wavelength, FUSED.grid_step)) // 2)
     more = track.findings.stiffness_ratio.get(window.vehicle, 1.0) - 1.0
     e = np.interp(window.distance, track.s, track.gauge_deviation, left=np.nan, right=np.nan)
     shift = np.full(len(window.valid), np.nan)
-    usable = window.valid & np.isfinite(e) & fast_enough(window, parameters)
+    usable = window.valid & np.isfinite(e) & fast_enough(window.speed, parameters.least_speed_m_s)
     for segment in integrate(window, usable, parameters, earlier=earlier).segments:
         part, run = segment.part, segment.run
         grid = fuse(motion_signals(segment, vehicle), vehicle)
@@ -203,13 +186,11 @@ def gauge_shift(
         if not certain.any():
             continue
         whole = (grid.difference + more * grid.stiffness_term)[None, :]
-        (fast,) = remove_wander(np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, CUTOFF_WAVELENGTH)
+        longest = MOTION.longest_radius_wave
+        (fast,) = remove_wander(np.where(certain, whole, 0.0), grid.run - grid.run[0], certain, longest)
         known = segment.known & (run >= grid.run[0] + ends) & (run <= grid.run[-1] - ends)
         shift[part][known] = table.at(np.interp(run[known], grid.run, fast), e[part][known])
     return shift
-
-
-NANOSECONDS = 1_000_000_000
 
 
 def motion(
@@ -219,7 +200,7 @@ def motion(
     layout: TrackLayout | None = None,
     gauge_shift: FloatArray | None = None,
     earlier: IntegratedWindow | None = None,
-    radius: float = 0.45,
+    radius: float = VEHICLE.usual_radius,
 ) -> Motion | Reason:
     """Return the band-limited motion of ``window`` relative to ``track``, or why it cannot be had.
 
@@ -246,7 +227,7 @@ def motion(
     refusal = _too_little(valid, integrated, usable, parameters)
     if refusal is not None:
         return refusal
-    seconds = window.start_ns / NANOSECONDS + np.arange(len(valid)) * dt
+    seconds = window.start_ns / SECOND_NS + np.arange(len(valid)) * dt
     block = np.floor(seconds / parameters.block_s).astype(np.int64)
     signals["speed"] = np.where(window.speed > 0, window.speed, np.nan)
     ratio = 1.0 if track.findings is None else track.findings.stiffness_ratio.get(window.vehicle, 1.0)
@@ -391,6 +372,6 @@ def to_wheelset_axes(
     return mirrored(integrated) if mounted_reversed else integrated, track
 
 
-@lru_cache(maxsize=TRACKS)
+@lru_cache(maxsize=MEMORY.deconvolved_tracks)
 def _turned(track: TrackAlignment) -> TrackAlignment:
     return replace(track, alignment=-track.alignment)

@@ -29,24 +29,61 @@ from scipy.ndimage import binary_closing, binary_dilation, median_filter, unifor
 from scipy.special import betainc
 
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, runs
-from estimation.values.windows import ACCELERATIONS, NO_BLOWS, Hunting, TurnBlows, Window
+from estimation.values.units import MAD_PER_STD
+from estimation.values.windows import ACCELERATIONS, NO_BLOWS, Hunting, TurnBlows, Window, fast_enough
 
-SLOW_S = 0.05  # running mean over this is motion
-RINGING_S = 0.1  # running median over this is motion even where a blow rings
-SCALE_S = 2.0  # over which vibration is judged
-LEAST_BLOW = 8.0  # m/s2 and rad/s2; right wheelsets on smooth track stay below 3, flange contact below 6
-LEAST_STDS = 6.0  # of the vibration
-TAIL = 0.12  # of the largest nearby: what still rings
-TAIL_STDS = 3.0
-REACH_S = 0.04  # on both sides of a blow, in which it may ring
-GUARD_S = 0.004  # on both sides of what rings
-SAID_BY_MEDIAN = 0.6745  # median of the magnitude of a normal signal over its std
+
+@dataclass(frozen=True, slots=True)
+class BlowParameters:
+    """What a blow is, what a flat makes of a turn, and how blows are taken out."""
+
+    motion_mean_s: float = 0.05  # running mean over this is motion
+    motion_median_s: float = 0.1  # running median over this is motion even where a blow rings
+    scale_s: float = 2.0  # over which vibration is judged
+    least_blow_acceleration: float = 8.0  # m/s2 and rad/s2; smooth track stays below 3, flange contact below 6
+    least_blow_stds: float = 6.0  # of the vibration
+    ringing_share: float = 0.12  # of the largest nearby: what still rings
+    ringing_stds: float = 3.0
+    ringing_reach_s: float = 0.04  # on both sides of a blow, in which it may ring
+    guard_s: float = 0.004  # on both sides of what rings
+    block_s: float = 10.0
+    least_speed: float = 5.0  # m/s
+    known_share: float = 0.5  # share of a block's samples
+    least_event_acceleration: float = 4.0  # m/s2 and rad/s2
+    event_stds: float = 4.0  # of the vibration
+    apart_s: float = 0.02  # what is nearer is one blow
+    shortest_turn: float = 1.9  # m, wheels of 0.30 to 0.57 m; less than twice apart, so no turn is half another
+    longest_turn: float = 3.6
+    turn_places: int = 12  # of a wheel; blows of one flat are in two that are neighbours
+    least_turn_share: float = 0.6  # share of the turns that have their blow
+    least_event_share: float = 0.35  # share of the blows that are on the place of the wheel
+    most_turn_events: float = 4.0  # by turn; more are vibration
+    most_chance_count: float = 1e-6  # of as many on one place, over all lengths tried
+    turn_tolerance: float = 0.02  # relative, by which blocks of one window may differ
+    one_sided_share: float = 0.8  # of the blows have the signs of one wheel
+    fewest_turns: float = 12.0
+    alternating_share: float = 0.8  # share of the blows that come from the other side than the one before
+    longest_bridged_s: float = 0.06
+    bridge_support_s: float = 0.05  # on both sides, by which a bridge is drawn
+    shape_before_s: float = 0.04  # of a blow, over which it rings
+    shape_behind_s: float = 0.08
+    most_turn_share: float = 0.8  # where turns are short
+    knot_s: float = 0.002  # of the shape of a blow
+    fewest_blows: int = 20
+    clipped_ridge: float = 1e-3  # of a sample, where all samples of a place clipped
+    size_range: tuple[float, float] = (0.3, 3.0)  # of a blow over the mean one
+    most_late_s: float = 0.003  # against the turn of the wheel
+    shape_rounds: int = 5
+    smoothed_blows: int = 31  # blows, over which sizes and delays are alike but for noise
+
+
+BLOWS = BlowParameters()
 
 
 def sharp(signals: FloatArray, interval_s: float) -> FloatArray:
     """Return signals (m, n), NaN where not known, less their running mean; there 0."""
     known = np.isfinite(signals)
-    width = max(round(SLOW_S / interval_s), 3) | 1
+    width = max(round(BLOWS.motion_mean_s / interval_s), 3) | 1
     filled = np.where(known, signals, 0.0)
     share = uniform_filter1d(known.astype(np.float64), width, axis=1, mode="nearest")
     means = uniform_filter1d(filled, width, axis=1, mode="nearest") / np.maximum(share, 1.0 / width)
@@ -55,10 +92,10 @@ def sharp(signals: FloatArray, interval_s: float) -> FloatArray:
 
 def vibration(sharp_signals: FloatArray, interval_s: float) -> FloatArray:
     """Return the standard deviation (m, n) of what is sharp, blows apart: by the median of some seconds."""
-    size = min(max(round(SCALE_S / interval_s), 1), sharp_signals.shape[1])
+    size = min(max(round(BLOWS.scale_s / interval_s), 1), sharp_signals.shape[1])
     count = max(sharp_signals.shape[1] // size, 1)
     blocks = np.abs(sharp_signals[:, : count * size]).reshape(len(sharp_signals), count, size)
-    stds = np.median(blocks, axis=2) / SAID_BY_MEDIAN
+    stds = np.median(blocks, axis=2) / MAD_PER_STD
     block = np.minimum(np.arange(sharp_signals.shape[1]) // size, count - 1)
     return np.asarray(stds[:, block])
 
@@ -67,41 +104,24 @@ def struck(lateral: FloatArray, roll: FloatArray, interval_s: float, lost: BoolA
     """Return which samples (n,) a blow has spoilt until it has died down; it rings too near those ``lost`` in blows."""
     both = np.stack([lateral, roll])
     lost = np.zeros(len(lateral), np.bool_) if lost is None else lost
-    if not (lost.any() or np.nanmax(np.abs(both), initial=0.0) > LEAST_BLOW):
+    if not (lost.any() or np.nanmax(np.abs(both), initial=0.0) > BLOWS.least_blow_acceleration):
         return lost
     fast = np.abs(sharp(both, interval_s))
     std = vibration(fast, interval_s)
     found = lost.copy()
-    reach = max(round(REACH_S / interval_s), 1)
+    reach = max(round(BLOWS.ringing_reach_s / interval_s), 1)
     for signal, values, noise in zip(both, fast, std, strict=True):
-        blows = values > np.maximum(LEAST_BLOW, LEAST_STDS * noise)
+        blows = values > np.maximum(BLOWS.least_blow_acceleration, BLOWS.least_blow_stds * noise)
         if not (blows | lost).any():
             continue
         near = binary_dilation(blows | lost, iterations=reach)
-        motion = median_filter(np.nan_to_num(signal), round(RINGING_S / interval_s) | 1)
+        motion = median_filter(np.nan_to_num(signal), round(BLOWS.motion_median_s / interval_s) | 1)
         rest = np.abs(np.nan_to_num(signal) - motion)
-        size = float(np.median(values[blows])) if blows.any() else LEAST_BLOW
-        rings = near & (rest > np.maximum(TAIL_STDS * noise, TAIL * size))
+        size = float(np.median(values[blows])) if blows.any() else BLOWS.least_blow_acceleration
+        rings = near & (rest > np.maximum(BLOWS.ringing_stds * noise, BLOWS.ringing_share * size))
         found |= binary_closing(rings | blows | lost, iterations=2)
-    return np.asarray(binary_dilation(found, iterations=max(round(GUARD_S / interval_s), 1)) if found.any() else found)
-
-
-BLOCK_S = 10.0
-LEAST_SPEED = 5.0  # m/s
-LEAST_KNOWN = 0.5  # share of a block's samples
-LEAST_EVENT = 4.0  # m/s2 and rad/s2
-EVENT_STDS = 4.0  # of the vibration
-APART_S = 0.02  # what is nearer is one blow
-SHORTEST, LONGEST = 1.9, 3.6  # m, turns of wheels of 0.30 to 0.57 m; less than twice apart, so no turn is half another
-PLACES = 12  # of a wheel; blows of one flat are in two that are neighbours
-LEAST_TURNS = 0.6  # share of the turns that have their blow
-LEAST_EVENTS = 0.35  # share of the blows that are on the place of the wheel
-MOST_EVENTS = 4.0  # by turn; more are vibration
-MOST_CHANCE = 1e-6  # of as many on one place, over all lengths tried
-SAME_TURN = 0.02  # relative, by which blocks of one window may differ
-SIDED = 0.8  # of the blows have the signs of one wheel
-FEWEST_TURNS = 12.0
-MOST_ALTERNATING = 0.8  # share of the blows that come from the other side than the one before
+    guard = max(round(BLOWS.guard_s / interval_s), 1)
+    return np.asarray(binary_dilation(found, iterations=guard) if found.any() else found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,14 +160,14 @@ def find_turn_blows(lateral: FloatArray, roll: FloatArray, speed: FloatArray, in
     blocks = list(_blocks(lateral, roll, speed, interval_s))
     found = [(block.comb, block.events) for block in blocks if block.comb is not None]
     turn = float(np.median([comb.turn for comb, _ in found])) if found else 0.0
-    alike = [(comb, events) for comb, events in found if abs(comb.turn / turn - 1.0) <= SAME_TURN]
+    alike = [(comb, events) for comb, events in found if abs(comb.turn / turn - 1.0) <= BLOWS.turn_tolerance]
     if not alike:
         return NO_BLOWS
     lateral, roll = (
         np.concatenate([getattr(events, name)[comb.on_place] for comb, events in alike]) for name in ("lateral", "roll")
     )
     left, right = float(np.mean((roll > 0) & (lateral < 0))), float(np.mean((roll < 0) & (lateral > 0)))
-    side = 1 if left >= SIDED else -1 if right >= SIDED else 0
+    side = 1 if left >= BLOWS.one_sided_share else -1 if right >= BLOWS.one_sided_share else 0
     size, turn = float(np.median(np.abs(lateral))), float(np.median([comb.turn for comb, _ in alike]))
     return TurnBlows(len(alike) / len(blocks), size, turn, side)
 
@@ -172,24 +192,24 @@ def _blocks(
     both = np.stack([lateral, roll])
     fast = sharp(both, interval_s)
     std = vibration(fast, interval_s)
-    size = round(BLOCK_S / interval_s)
+    size = round(BLOWS.block_s / interval_s)
     for start in range(0, len(lateral) - size + 1, size):
         part = slice(start, start + size)
         known = np.isfinite(speed[part]) & np.isfinite(lateral[part])
-        if known.mean() < LEAST_KNOWN or np.mean(speed[part][known]) < LEAST_SPEED:
+        if known.mean() < BLOWS.known_share or not fast_enough(float(np.mean(speed[part][known])), BLOWS.least_speed):
             continue
         run = np.cumsum(np.nan_to_num(speed[part], nan=float(np.mean(speed[part][known])))) * interval_s
         events = _events(fast[:, part], std[:, part], interval_s, None if lost is None else lost[part])
         comb = _comb(np.interp(events.middle, np.arange(size), run), float(run[-1]))
         if comb is not None:
             blows = events.lateral[comb.on_place]
-            if np.mean(blows[1:] * blows[:-1] < 0.0) > MOST_ALTERNATING:  # from either side in turn: flanges
+            if np.mean(blows[1:] * blows[:-1] < 0.0) > BLOWS.alternating_share:  # from either side in turn: flanges
                 comb = None
         yield _Block(start, run, events, comb)
 
 
 def _events(fast: FloatArray, std: FloatArray, interval_s: float, lost: BoolArray | None) -> _Events:
-    level = np.maximum(LEAST_EVENT, EVENT_STDS * std)
+    level = np.maximum(BLOWS.least_event_acceleration, BLOWS.event_stds * std)
     excess = np.max(np.abs(fast) / level, axis=0)
     if lost is not None and lost.any():
         excess = np.where(lost, max(float(excess.max()), 2.0), excess)
@@ -197,7 +217,7 @@ def _events(fast: FloatArray, std: FloatArray, interval_s: float, lost: BoolArra
     if not len(over):
         none = np.empty(0)
         return _Events(none, none, none)
-    first = np.concatenate([[0], np.flatnonzero(np.diff(over) > round(APART_S / interval_s)) + 1])
+    first = np.concatenate([[0], np.flatnonzero(np.diff(over) > round(BLOWS.apart_s / interval_s)) + 1])
     groups = np.split(over, first[1:])
     at = np.array([group[int(np.argmax(excess[group]))] for group in groups], np.int64)
     middle = np.array([np.average(group, weights=excess[group]) for group in groups])
@@ -205,39 +225,28 @@ def _events(fast: FloatArray, std: FloatArray, interval_s: float, lost: BoolArra
 
 
 def _comb(events: FloatArray, run: float) -> _Comb | None:
-    fewest = max(LEAST_TURNS * run / LONGEST, FEWEST_TURNS * LEAST_TURNS)
-    if not fewest <= len(events) <= MOST_EVENTS * run / SHORTEST:
+    fewest = max(BLOWS.least_turn_share * run / BLOWS.longest_turn, BLOWS.fewest_turns * BLOWS.least_turn_share)
+    if not fewest <= len(events) <= BLOWS.most_turn_events * run / BLOWS.shortest_turn:
         return None
-    step = 0.25 * SHORTEST / (PLACES * run)
-    turns = np.exp(np.arange(np.log(SHORTEST), np.log(LONGEST), step))
-    place = np.floor(np.mod(events[None, :] / turns[:, None], 1.0) * PLACES).astype(np.int64) % PLACES
-    cells = (np.arange(len(turns))[:, None] * PLACES + place).ravel()
-    counts = np.bincount(cells, minlength=len(turns) * PLACES).reshape(len(turns), PLACES)
+    places = BLOWS.turn_places
+    step = 0.25 * BLOWS.shortest_turn / (places * run)
+    turns = np.exp(np.arange(np.log(BLOWS.shortest_turn), np.log(BLOWS.longest_turn), step))
+    place = np.floor(np.mod(events[None, :] / turns[:, None], 1.0) * places).astype(np.int64) % places
+    cells = (np.arange(len(turns))[:, None] * places + place).ravel()
+    counts = np.bincount(cells, minlength=len(turns) * places).reshape(len(turns), places)
     pairs = counts + np.roll(counts, -1, axis=1)
     best, where = np.unravel_index(int(np.argmax(pairs)), pairs.shape)
-    on = (place[best] == where) | (place[best] == (where + 1) % PLACES)
+    on = (place[best] == where) | (place[best] == (where + 1) % places)
     turn = float(turns[best])
     hit = np.unique(np.round((events[on] - events[on][0]) / turn))
-    tries = len(turns) * PLACES
-    chance = tries * float(betainc(on.sum(), len(events) - on.sum() + 1, 2.0 / PLACES))
-    if len(hit) < LEAST_TURNS * run / turn or on.sum() < LEAST_EVENTS * len(events) or chance > MOST_CHANCE:
+    tries = len(turns) * BLOWS.turn_places
+    chance = tries * float(betainc(on.sum(), len(events) - on.sum() + 1, 2.0 / BLOWS.turn_places))
+    few = len(hit) < BLOWS.least_turn_share * run / turn or on.sum() < BLOWS.least_event_share * len(events)
+    if few or chance > BLOWS.most_chance_count:
         return None
     number = np.round((events[on] - events[on][0]) / turn)
     fitted, first = np.polyfit(number, events[on], 1)
     return _Comb(float(fitted), float(first), np.asarray(on))
-
-
-LONGEST_BRIDGED_S = 0.06
-SUPPORT_S = 0.05  # on both sides, by which a bridge is drawn
-BEFORE_S, BEHIND_S = 0.04, 0.08  # of a blow, over which it rings
-MOST_OF_TURN = 0.8  # where turns are short
-KNOT_S = 0.002  # of the shape of a blow
-FEWEST_BLOWS = 20
-RIDGE = 1e-3  # of a sample, where all samples of a place clipped
-SIZES = (0.3, 3.0)  # of a blow over the mean one
-MOST_LATE_S = 0.003  # against the turn of the wheel
-ROUNDS = 5
-AROUND = 31  # blows, over which sizes and delays are alike but for noise
 
 
 def without_blows(window: Window) -> Window:
@@ -246,7 +255,7 @@ def without_blows(window: Window) -> Window:
     dt, n = window.sample_interval_s, len(window.valid)
     lost = np.zeros(n, np.bool_)
     if window.quality.blows.share > 0.0:
-        lost = _short_gaps(window, round(LONGEST_BRIDGED_S / dt))
+        lost = _short_gaps(window, round(BLOWS.longest_bridged_s / dt))
     spoilt = struck(window.lateral_acceleration, window.roll_acceleration, dt, lost)
     if not spoilt.any():
         return window
@@ -254,11 +263,11 @@ def without_blows(window: Window) -> Window:
         return replace(window, bridged=spoilt & window.valid)
     at = blow_times(window.lateral_acceleration, window.roll_acceleration, window.speed, dt, lost)
     signals = np.stack([getattr(window, name) for name in ACCELERATIONS])
-    if len(at) >= FEWEST_BLOWS:
+    if len(at) >= BLOWS.fewest_blows:
         signals = signals - turn_blows(signals, at, dt)
     valid = window.valid | lost
     for first, behind in runs(lost):
-        _bridge(signals, window.valid, int(first), int(behind), round(SUPPORT_S / dt))
+        _bridge(signals, window.valid, int(first), int(behind), round(BLOWS.bridge_support_s / dt))
     smooth: dict[str, Any] = dict(zip(ACCELERATIONS, signals, strict=True))
     return replace(window, valid=valid, bridged=spoilt & valid, **smooth)
 
@@ -286,16 +295,17 @@ def _bridge(signals: FloatArray, known: BoolArray, first: int, behind: int, supp
 def turn_blows(signals: FloatArray, at: FloatArray, interval_s: float) -> FloatArray:
     """Return what the blows of a flat are of signals (m, n), lateral, yaw and roll acceleration first; NaN: unknown."""
     turn = float(np.median(np.diff(at))) * interval_s
-    reach = min(BEFORE_S + BEHIND_S, MOST_OF_TURN * turn) / (BEFORE_S + BEHIND_S)
-    knots = np.arange(-BEFORE_S * reach, BEHIND_S * reach + KNOT_S, KNOT_S)
+    longest_s = BLOWS.shape_before_s + BLOWS.shape_behind_s
+    reach = min(longest_s, BLOWS.most_turn_share * turn) / longest_s
+    knots = np.arange(-BLOWS.shape_before_s * reach, BLOWS.shape_behind_s * reach + BLOWS.knot_s, BLOWS.knot_s)
     index = np.arange(signals.shape[1])
-    number = np.clip(np.searchsorted(at, index + BEFORE_S * reach / interval_s) - 1, 0, len(at) - 1)
+    number = np.clip(np.searchsorted(at, index + BLOWS.shape_before_s * reach / interval_s) - 1, 0, len(at) - 1)
     since = (index - at[number]) * interval_s
     inside = (since >= knots[0]) & (since < knots[-1]) & np.isfinite(signals).all(axis=0)
     number, since, measured = number[inside], since[inside], signals[:, inside]
     sizes, late = np.ones(len(at)), np.zeros(len(at))
     shapes = np.zeros((len(signals), len(knots)))
-    for _ in range(ROUNDS):
+    for _ in range(BLOWS.shape_rounds):
         shapes = _shapes(measured, since - late[number], sizes[number], knots)
         sizes, late = _fitted(measured, shapes, since, (sizes, late), number, knots)
     found = np.zeros_like(signals)
@@ -305,10 +315,10 @@ def turn_blows(signals: FloatArray, at: FloatArray, interval_s: float) -> FloatA
 
 def _shapes(measured: FloatArray, since: FloatArray, size: FloatArray, knots: FloatArray) -> FloatArray:
     """Return the mean blow (m, k) at the knots, straight between them, by least squares; it begins and ends at zero."""
-    place = (since - knots[0]) / KNOT_S
+    place = (since - knots[0]) / BLOWS.knot_s
     low = np.minimum(place.astype(np.int64), len(knots) - 2)
     upper = place - low
-    gram = RIDGE * np.eye(len(knots))
+    gram = BLOWS.clipped_ridge * np.eye(len(knots))
     right = np.zeros((len(knots), len(measured)))
     for first, weight in ((0, 1.0 - upper), (1, upper)):
         np.add.at(right, low + first, (measured * (weight * size)).T)
@@ -337,7 +347,7 @@ def _fitted(
     felt = [0, 2]
     at = since - late[number]
     mean = _valued(shapes[felt], at, knots)
-    slope = -_valued(np.gradient(shapes[felt], KNOT_S, axis=1), at, knots) * sizes[number]
+    slope = -_valued(np.gradient(shapes[felt], BLOWS.knot_s, axis=1), at, knots) * sizes[number]
     rest = measured[felt] - mean * sizes[number]
 
     def summed(values: FloatArray) -> FloatArray:
@@ -346,15 +356,15 @@ def _fitted(
     a, b, c = summed(mean**2), summed(mean * slope), summed(slope**2)
     p, q = summed(mean * rest), summed(slope * rest)
     determinant = np.maximum(a * c - b * b, 1e-9 * np.maximum(a * c, 1e-12))
-    noise = float(np.median(rest**2)) / SAID_BY_MEDIAN**2
-    sizes = np.clip(sizes + (c * p - b * q) / determinant, *SIZES)
-    late = np.clip(late + (a * q - b * p) / determinant, -MOST_LATE_S, MOST_LATE_S)
+    noise = float(np.median(rest**2)) / MAD_PER_STD**2
+    sizes = np.clip(sizes + (c * p - b * q) / determinant, *BLOWS.size_range)
+    late = np.clip(late + (a * q - b * p) / determinant, -BLOWS.most_late_s, BLOWS.most_late_s)
     sizes, late = _shrunk(sizes, noise * c / determinant), _shrunk(late, noise * a / determinant)
     return sizes / np.median(sizes), late - np.median(late)
 
 
 def _shrunk(values: FloatArray, variance: FloatArray) -> FloatArray:
-    usual = uniform_filter1d(values, AROUND, mode="nearest")
+    usual = uniform_filter1d(values, BLOWS.smoothed_blows, mode="nearest")
     apart = values - usual
-    true = max(float(np.median(apart**2)) / SAID_BY_MEDIAN**2 - float(np.median(variance)), 0.0)
+    true = max(float(np.median(apart**2)) / MAD_PER_STD**2 - float(np.median(variance)), 0.0)
     return np.asarray(usual + apart * true / np.maximum(true + variance, 1e-30))

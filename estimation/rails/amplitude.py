@@ -16,8 +16,6 @@ from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 
-LARGEST_VARIANCE = 1.0  # of a conicity of which nothing is known
-
 
 @dataclass(frozen=True, slots=True)
 class Check:
@@ -49,15 +47,15 @@ def checks(component: Component, wheel: ReferenceWheel, parameters: RailsParamet
     found = {}
     for one in np.unique(serial[known]).tolist():
         own = np.flatnonzero(known & (serial == one))
-        checked = _check(component, held, own, shared) if held.converged else NOTHING
+        checked = _check(component, held, own, shared, parameters) if held.converged else NOTHING
         found[component.table.serials[one]] = checked if usable else replace(checked, apart=0.0)
     return found
 
 
-def _check(component: Component, held: Parted, own: IntArray, shared: float) -> Check:
+def _check(component: Component, held: Parted, own: IntArray, shared: float, parameters: RailsParameters) -> Check:
     left, covariance = _left_out(component, held, own)
     variance = np.diag(covariance)
-    if not ((variance > 0.0) & (variance < LARGEST_VARIANCE)).all():
+    if not ((variance > 0.0) & (variance < parameters.largest_conicity_variance)).all():
         return NOTHING
     value = component.two_way.known_value
     others = np.isfinite(value)
@@ -87,9 +85,6 @@ def _left_out(component: Component, held: Parted, own: IntArray) -> tuple[FloatA
 NOTHING = Check(0.0, np.inf, np.inf)
 
 
-MOST = 0.5  # share of the rails
-
-
 def uneven(component: Component, parameters: RailsParameters) -> list[int]:
     """Return the numbers of the rails that are uneven, where something holds the level and these would move it."""
     # Uneven are rails on which conicities rise with those of the wheels otherwise than on half of all rails or more,
@@ -103,7 +98,7 @@ def uneven(component: Component, parameters: RailsParameters) -> list[int]:
         return []
     rise = np.log1p(alone.slope)
     alike = np.abs(rise[:, None] - rise[None, :]) <= np.log1p(parameters.uneven_slope)
-    found: list[int] = component.rail[(alike.mean(axis=1) <= MOST) & ~two_way.known_rail].tolist()
+    found: list[int] = component.rail[(alike.mean(axis=1) <= parameters.uneven_share) & ~two_way.known_rail].tolist()
     return found
 
 

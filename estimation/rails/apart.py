@@ -15,7 +15,7 @@ from estimation.errors import ParameterError
 from estimation.rails.amplitude import NOT_COVERED, NOTHING, Check, at_amplitude, wheel_checks
 from estimation.rails.cell import Anchors, CellTable, cell_table, extent, grouped, sections_of, wheelsets_of
 from estimation.rails.component import Runs, islands
-from estimation.rails.parameters import RailsParameters
+from estimation.rails.parameters import RAILS, RailsParameters
 from estimation.rails.published import NEXT_TO_JUMP, AtAmplitude, TrendAt, on_rise
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import (
@@ -31,8 +31,6 @@ from estimation.values.opinions import (
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
 
-TWO = 2
-TRIED = 3  # wheelsets, furthest from the others, besides all sections: without which the rest agree best
 HELD = (RailsReference.KNOWN_RAILS, RailsReference.MEASURED_WHEELS)
 
 
@@ -50,8 +48,8 @@ def confirmed(table: CellTable, anchors: Anchors, parameters: RailsParameters) -
             return held
         order = sorted(beyond, key=lambda one: (-beyond[one].ratio, one))
         together = _connected(order[0], sorted(found), table, held)
-        may_be = [one for place, one in enumerate(order) if place < TRIED or not one.is_wheelset]
-        tried = [together] if len(together) == TWO else [[one] for one in may_be]
+        may_be = [one for place, one in enumerate(order) if place < parameters.tried_wheelsets or not one.is_wheelset]
+        tried = [together] if len(together) == parameters.pair_size else [[one] for one in may_be]
         without = [held.without(*_reasons(some, together, beyond)) for some in tried]
         left = [_all_apart(table, one, parameters) for one in without]
         best = min(range(len(tried)), key=lambda at: max((one.ratio for one in left[at].values()), default=0.0))
@@ -116,9 +114,6 @@ def _reasons(
     return sections, wheelsets
 
 
-SAME_AMPLITUDE = 1e-9  # m
-
-
 def rails_apart(
     cells: Sequence[SectionConicity], amplitude: FloatArray, anchors: Anchors, parameters: RailsParameters
 ) -> RailsApart:
@@ -140,7 +135,7 @@ def rails_apart(
     table = cell_table(cells, amplitude)
     held = confirmed(table, anchors, parameters)
     levels = [at_amplitude(table, k, held, parameters) for k in range(len(amplitude))]
-    _refuse_rises(levels, amplitude, parameters.steepest)
+    _refuse_rises(levels, amplitude, parameters.steepest, parameters)
     of_rails, of_wheels = grouped((cell.rail, cell) for cell in cells), grouped((cell.wheel, cell) for cell in cells)
     trends, no_trends = _trends(levels, amplitude, parameters.limit_amplitude, anchors)
     return RailsApart(
@@ -155,13 +150,15 @@ def rails_apart(
     )
 
 
-def _refuse_rises(levels: Sequence[AtAmplitude], amplitude: FloatArray, steepest: float) -> None:
+def _refuse_rises(
+    levels: Sequence[AtAmplitude], amplitude: FloatArray, steepest: float, parameters: RailsParameters
+) -> None:
     """Take back what is said of the wheel as designed where its conicity, as found on some rails, is on a rise."""
     # the trend of the section goes with it
     keys = sorted({key for level in levels for key in level.rails})
     for key in keys:
         curve = np.array([level.rails[key].solved for level in levels])
-        rising = on_rise(curve, amplitude, steepest)
+        rising = on_rise(curve, amplitude, steepest, parameters)
         for level in (one for one, rises in zip(levels, rising, strict=True) if rises):
             at = level.rails[key]
             if at.reference_wheel.value is not None:
@@ -206,7 +203,7 @@ def _trends(
     found: dict[str, RailTrend] = {}
     why: dict[str, Reason] = {}
     for amplitude, level in reversed(list(zip(amplitudes, levels, strict=True))):
-        if amplitude > most + SAME_AMPLITUDE:
+        if amplitude > most + RAILS.same_amplitude:
             continue
         for section in {key.section for key in level.rails} - found.keys():
             one = level.trends.get(section, TrendAt(Estimate.unknown(NOT_COVERED)))
@@ -223,7 +220,7 @@ def reported(part: tuple[Estimate, ...], amplitude: FloatArray, most: float) -> 
     known = [
         (one, float(a))
         for one, a in zip(part, amplitude, strict=True)
-        if one.value is not None and a <= most + SAME_AMPLITUDE
+        if one.value is not None and a <= most + RAILS.same_amplitude
     ]
     return known[-1] if known else None
 

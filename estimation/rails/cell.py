@@ -9,7 +9,8 @@ from typing import Annotated, TypeVar
 
 import numpy as np
 
-from estimation.accuracy.wheel_contact import REACH, STEP, RailShare, WheelPair, conicity_of
+from estimation.accuracy.parameters import ACCURACY
+from estimation.accuracy.wheel_contact import RailShare, WheelPair, conicity_of
 from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.profiles import is_design, rail_profile, wheel_profile
 from estimation.errors import ContactError, ParameterError, ProfileError
@@ -29,6 +30,7 @@ from estimation.values.opinions import (
 )
 from estimation.values.quantities import Estimate, Status, normal_equivalent, parts_of
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import YEAR_NS
 
 
 def section_conicity(
@@ -126,9 +128,6 @@ def _reason(own: Sequence[StoredCell]) -> Reason:
     return max(reasons, key=lambda one: count[one.code])
 
 
-NS_PER_YEAR = 365.25 * 86_400e9
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class CellTable:
     """Cells, and what they are of."""
@@ -175,7 +174,7 @@ def cell_table(cells: Sequence[SectionConicity], amplitude: FloatArray) -> CellT
         serial=np.array([of_serial[key.wheelset] for key in wheels], np.int64),
         scale=np.array([cell.scale_std for cell in cells]),
         windows=np.array([cell.windows for cell in cells], np.int64),
-        years=np.array([0.5 * (cell.from_ns + cell.to_ns) for cell in cells]) / NS_PER_YEAR,
+        years=np.array([0.5 * (cell.from_ns + cell.to_ns) for cell in cells]) / YEAR_NS,
         **columns,
     )
 
@@ -239,7 +238,7 @@ def conicity_on_rails(wheels: WheelPair, rails: RailShare, amplitude: FloatArray
         wheelset = WheelsetOnTrack(
             wheels.left, wheels.right, rail, rail, rails.inclination, rails.gauge, radius, radius
         )
-        x = STEP * np.arange(-round(REACH / STEP), round(REACH / STEP) + 1)
+        x = ACCURACY.displacement()
         curve = radius_difference_curve(wheelset, x)
     except (ContactError, ProfileError, ParameterError):
         return nothing, nothing

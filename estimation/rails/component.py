@@ -14,12 +14,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from estimation.rails.cell import CellTable
+from estimation.rails.parameters import RAILS
 from estimation.rails.two_way import TwoWay
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.opinions import RailKey, WheelKey
 from estimation.values.reasons import Reason, ReasonCode
-
-LEAST_CONICITY = 1e-3  # to which an error may be in proportion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +46,7 @@ class Component:
     @property
     def shared(self) -> float:
         """What is systematic in all cells, relative: the median of what is not the scale of the section."""
-        conicity = np.maximum(np.abs(self.table.conicity[self.cells, self.k]), LEAST_CONICITY)
+        conicity = np.maximum(np.abs(self.table.conicity[self.cells, self.k]), RAILS.least_conicity)
         relative = self.table.systematic[self.cells, self.k] / conicity
         return float(np.median(np.sqrt(np.maximum(relative**2 - self.table.scale[self.cells] ** 2, 0.0))))
 

@@ -25,3 +25,23 @@ class RailsParameters:
     least_periods: int = 3  # fewest periods of a trend
     limit: float = 0.05  # on the excess of the reference wheel's conicity
     limit_amplitude: float = 3.0e-3  # m, at which the limit is looked at, or the largest amplitude below that is known
+    fit_rounds: int = 50
+    conicity_tolerance: float = 1e-8  # of conicity
+    lowest_tau: float = -3.0  # decades of conicity
+    highest_tau: float = -0.3
+    slope_range: tuple[float, float] = (-0.8, 2.0)  # what a section may add to a wheel whose conicity is higher by 1
+    tau_tolerance: float = 0.01  # decades
+    mean_weight: float = 1e8  # weight of the condition that the mean over sections is 0, of the heaviest cell
+    least_freedom: float = 1e-6
+    slope_reach: float = 0.25e-3  # m of amplitude
+    same_amplitude: float = 1e-9  # m
+    pair_size: int = 2
+    tried_wheelsets: int = 3  # furthest from the others, besides all sections: without which the rest agree best
+    largest_conicity_variance: float = 1.0  # of a conicity of which nothing is known
+    uneven_share: float = 0.5  # share of the rails
+    doubted_share: float = 0.99  # share of lines whose periods are nearer to it
+    moved_share: float = 0.5  # of a change of the mean that wheels must have moved by for it to be theirs
+    least_conicity: float = 1e-3  # to which an error may be in proportion
+
+
+RAILS = RailsParameters()

@@ -15,10 +15,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import fdtri
 
-from estimation.geometry.conicity import LARGEST_STD
+from estimation.geometry.parameters import PRIORS
 from estimation.rails.cell import ReferenceWheel
 from estimation.rails.component import Component
-from estimation.rails.parameters import RailsParameters
+from estimation.rails.parameters import RAILS, RailsParameters
 from estimation.rails.two_way import Parted, part
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.opinions import RailKey, RailsReference, WheelKey
@@ -26,7 +26,6 @@ from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 
 PARAMETERS = 2  # of a line
-DOUBT = 0.99  # share of lines whose periods are nearer to it
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +49,7 @@ class Line:
         """Whether the values are on a line, as far as their errors say."""
         if self.freedom < 1:
             return True
-        return self.squares <= self.freedom * float(fdtri(self.freedom, max(groups, 1.0), DOUBT))
+        return self.squares <= self.freedom * float(fdtri(self.freedom, max(groups, 1.0), RAILS.doubted_share))
 
 
 def line(at: FloatArray, value: FloatArray, covariance: FloatArray) -> Line:
@@ -67,24 +66,20 @@ def line(at: FloatArray, value: FloatArray, covariance: FloatArray) -> Line:
 AS_ON_FILE = Reason(ReasonCode.RAILS_ARE_REFERENCE, "the section is named as known: nothing is measured of its rails")
 
 
-WITHIN = 0.25e-3  # m of amplitude
-SAME_AMPLITUDE = 1e-9  # m
-
-
-def next_to_jump(curve: FloatArray, amplitude: FloatArray, most: float) -> BoolArray:
+def next_to_jump(curve: FloatArray, amplitude: FloatArray, most: float, parameters: RailsParameters) -> BoolArray:
     """Return where (k,) a conicity changes by more than ``most`` within 0.25 mm of amplitude, to either side."""
-    return np.asarray((np.abs(_changes(curve, amplitude)) > most).any(axis=1))
+    return np.asarray((np.abs(_changes(curve, amplitude, parameters)) > most).any(axis=1))
 
 
-def on_rise(curve: FloatArray, amplitude: FloatArray, most: float) -> BoolArray:
+def on_rise(curve: FloatArray, amplitude: FloatArray, most: float, parameters: RailsParameters) -> BoolArray:
     """Return where (k,) a conicity rises by more than ``most`` within 0.25 mm of amplitude, before or behind."""
-    return np.asarray((_changes(curve, amplitude) > most).any(axis=1))
+    return np.asarray((_changes(curve, amplitude, parameters) > most).any(axis=1))
 
 
-def _changes(curve: FloatArray, amplitude: FloatArray) -> FloatArray:
+def _changes(curve: FloatArray, amplitude: FloatArray, parameters: RailsParameters) -> FloatArray:
     """Return by how much (k, k) the conicity grows from the smaller to the larger of two amplitudes that are near."""
     apart = amplitude[:, None] - amplitude[None, :]
-    near = np.abs(apart) <= WITHIN + SAME_AMPLITUDE
+    near = np.abs(apart) <= parameters.slope_reach + parameters.same_amplitude
     grown = np.sign(apart) * (curve[:, None] - curve[None, :])
     return np.where(near & np.isfinite(grown), grown, 0.0)
 
@@ -92,7 +87,6 @@ def _changes(curve: FloatArray, amplitude: FloatArray) -> FloatArray:
 NO_REFERENCE_WHEEL = Reason(ReasonCode.PROFILE_UNKNOWN, "the conicity of the wheel as designed is not known here")
 NEXT_TO_JUMP = Reason(ReasonCode.CONTACT_JUMP_NEAR, "the wheel as designed is next to a contact jump at this amplitude")
 NOT_CONVERGED = Reason(ReasonCode.NOT_CONVERGED, "wheels and rails were not parted: the iteration did not converge")
-HALF = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,7 +262,7 @@ class _Publisher:
 
     def _published(self, value: float, sampled: float, systematic: float, windows: float) -> Estimate:
         found = with_interval(value, sampled, systematic, self.groups, windows)
-        if found.std is not None and found.std <= LARGEST_STD:
+        if found.std is not None and found.std <= PRIORS.largest_conicity_std:
             return found
         text = f"the data leave the conicity open by {found.std:.2f}"
         return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), windows)
@@ -288,7 +282,7 @@ class _Publisher:
     def _reference(self, moved: float) -> RailsReference:
         if not self.component.two_way.anchored:
             return RailsReference.MEAN
-        by_wheels = abs(moved) > HALF or not self.component.two_way.known_rail.any()
+        by_wheels = abs(moved) > self.parameters.moved_share or not self.component.two_way.known_rail.any()
         return RailsReference.MEASURED_WHEELS if by_wheels else RailsReference.KNOWN_RAILS
 
     def _systematic(self, place: int, change: float) -> float:
@@ -317,7 +311,7 @@ def _scale_of_reference(component: Component, scale: FloatArray) -> float:
 
 
 def _is_steep(component: Component, curve: FloatArray, parameters: RailsParameters) -> bool:
-    return bool(next_to_jump(curve, component.table.amplitude, parameters.steepest)[component.k])
+    return bool(next_to_jump(curve, component.table.amplitude, parameters.steepest, parameters)[component.k])
 
 
 def _exactly(value: float, windows: float) -> Estimate:

@@ -26,16 +26,7 @@ from scipy.sparse import csr_array
 
 from estimation.rails.parameters import RailsParameters
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
-
-ROUNDS = 50
-TOLERANCE = 1e-8  # of conicity
-LOWEST_TAU, HIGHEST_TAU = -3.0, -0.3  # decades of conicity
-SLOPES = (-0.8, 2.0)  # what a section may add to a wheel whose conicity is higher by 1
-TAU_TOLERANCE = 0.01  # decades
-HELD = 1e8  # weight of the condition that the mean over sections is 0, of the heaviest cell
-CONDITIONS = 2.0  # of the means of rho and of beta
-ROWS_AT_ONCE = 5_000
-LEAST_FREEDOM = 1e-6
+from estimation.values.memory import MEMORY
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +89,10 @@ def part(cells: TwoWay, parameters: RailsParameters) -> Parted:
         before = parameters.interaction_weight * ((parameters.interaction / tau) ** 2 - 1.0)
         return float(solved.squares() - solved.freedom() + before)
 
-    if surplus(LOWEST_TAU) > 0.0 > surplus(HIGHEST_TAU):
-        surplus(float(brentq(surplus, LOWEST_TAU, HIGHEST_TAU, xtol=TAU_TOLERANCE)))
-    elif surplus(LOWEST_TAU) > 0.0:
-        surplus(HIGHEST_TAU)
+    if surplus(parameters.lowest_tau) > 0.0 > surplus(parameters.highest_tau):
+        surplus(float(brentq(surplus, parameters.lowest_tau, parameters.highest_tau, xtol=parameters.tau_tolerance)))
+    elif surplus(parameters.lowest_tau) > 0.0:
+        surplus(parameters.highest_tau)
     assert solved is not None
     return _widened(cells, parameters, solved.parted())
 
@@ -122,7 +113,7 @@ def _widened(cells: TwoWay, parameters: RailsParameters, found: Parted) -> Parte
     weight = found.known_weight[known]
     squares = float(np.sum(weight * (cells.known_value - found.wheel)[known] ** 2))
     freedom = float(np.sum(1.0 - weight * found.wheel_variance[known]))
-    factor = squares / freedom if freedom > LEAST_FREEDOM else 1.0
+    factor = squares / freedom if freedom > parameters.least_freedom else 1.0
     if factor <= 1.0:
         return found
     tau = found.interaction
@@ -204,7 +195,7 @@ class _Problem:
         pulls = (np.bincount(cells.rail, weight * residual * above**power, minlength=s) for power in (0, 1))
         right = np.concatenate(list(pulls)) - crossed.T @ (right_wheel / own) - self.before * point.phi
         if not cells.anchored:
-            held = HELD * weight.max()
+            held = self.parameters.mean_weight * weight.max()
             for half in (slice(0, s), slice(s, 2 * s)):
                 matrix[half, half] += held
                 right[half] -= held * point.phi[half].sum()
@@ -217,7 +208,7 @@ class _Problem:
         if len(self.free):
             step[self.free] = _solution(linear.matrix[np.ix_(self.free, self.free)], linear.right[self.free])
             if limited:
-                step[s:] = np.clip(point.phi[s:] + step[s:], *SLOPES) - point.phi[s:]
+                step[s:] = np.clip(point.phi[s:] + step[s:], *self.parameters.slope_range) - point.phi[s:]
         of_theta = linear.right_wheel / linear.own - linear.shared @ step
         return _Point(point.theta + of_theta, point.phi + step, point.centre)
 
@@ -249,7 +240,7 @@ class _Solved:
         cells = self.problem.cells
         residuals = len(cells.value) + int(np.isfinite(cells.known_value).sum())
         fitted = len(cells.known_value) + 2 * int((~cells.known_rail).sum())
-        conditions = 0.0 if cells.anchored else CONDITIONS
+        conditions = 0.0 if cells.anchored else 2.0  # of the means of rho and of beta
         return residuals - (fitted - float(self.problem.before @ np.diag(self.covariance)) - conditions)
 
     def parted(self) -> Parted:
@@ -277,10 +268,10 @@ def _solved(cells: TwoWay, parameters: RailsParameters, tau: float, start: _Poin
     problem = _Problem.of(cells, parameters, tau)
     s, centre = len(cells.known_rail), float(np.mean(cells.value))
     point, converged = start or _Point(np.full(len(cells.known_value), centre), np.zeros(2 * s), centre), False
-    for _ in range(ROUNDS):
+    for _ in range(parameters.fit_rounds):
         before, point = point, problem.moved(point, problem.linearised(point))
         change = np.concatenate([point.theta - before.theta, (point.phi - before.phi)[:s]])
-        if np.abs(change).max() < TOLERANCE:
+        if np.abs(change).max() < parameters.conicity_tolerance:
             converged = True
             break
     return _Solved(problem, point, problem.linearised(point), converged)
@@ -305,7 +296,7 @@ def _inverse(matrix: FloatArray) -> FloatArray:
 def _quadratic(rows: csr_array, covariance: FloatArray) -> FloatArray:
     """Return the variance (n,) of linear combinations, the rows (n, k), of what has a covariance (k, k)."""
     found = np.empty(rows.shape[0])
-    for first in range(0, len(found), ROWS_AT_ONCE):
-        some = rows[first : first + ROWS_AT_ONCE]
-        found[first : first + ROWS_AT_ONCE] = some.multiply(some @ covariance).sum(axis=1)
+    for first in range(0, len(found), MEMORY.covariance_rows):
+        some = rows[first : first + MEMORY.covariance_rows]
+        found[first : first + MEMORY.covariance_rows] = some.multiply(some @ covariance).sum(axis=1)
     return found

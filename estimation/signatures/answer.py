@@ -10,6 +10,7 @@ from scipy.special import ndtr
 from estimation.signatures.calibration import NORMAL, Calibration, conicity_grid, outside
 from estimation.signatures.library import Library
 from estimation.signatures.mixed_model import Rows, level_of, likelihood
+from estimation.signatures.parameters import SIGNATURE
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.values.arrays import IntArray
 from estimation.values.quantities import Estimate, Status
@@ -24,8 +25,6 @@ from estimation.values.signatures import (
     StateProbability,
     UsedEntry,
 )
-
-SHOWN = 10  # entries that an answer names
 
 
 def judged(
@@ -169,7 +168,7 @@ def _used(
         weights[key] = weights.get(key, 0.0) + weight
         about.setdefault(key, ([], entry.source))[0].append(entry.conicity)
         total += weight
-    nearest = sorted(weights, key=lambda key: (-weights[key], key))[:SHOWN]
+    nearest = sorted(weights, key=lambda key: (-weights[key], key))[: SIGNATURE.named_entries]
     return tuple(UsedEntry(*key, float(np.mean(about[key][0])), weights[key] / total, about[key][1]) for key in nearest)
 
 

@@ -31,16 +31,14 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from estimation.signatures.mixed_model import Likelihood, MixedModel, Rows, fitted, level_of, levels_between, likelihood
-from estimation.signatures.window_signatures import FOLDS, SignatureParameters, families
+from estimation.signatures.parameters import SIGNATURE
+from estimation.signatures.window_signatures import SignatureParameters, families
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import Basis, ConicitySource, LibraryEntry
 
-SHARES: FloatArray = np.asarray(np.linspace(0.0, 1.0, 21))  # of the variances of geometries, that are tried
-ANSWER_STD = 0.006  # of an answer about one wheelset on one section, before any is seen
-ANSWER_SPREAD = 0.3  # std of its logarithm
-RELUCTANCE = 3  # power of what is in common, by which shares are less likely beforehand
-NEAR = 0.03  # of conicity, within which what is on file counts for an answer
+SHARES: FloatArray = np.asarray(np.linspace(0.0, 1.0, SIGNATURE.share_points))  # of the variances of geometries
+COVERAGE = SIGNATURE.interval_coverage
 _NONE = np.eye(len(SHARES))[0]  # no share of anything
 
 
@@ -64,7 +62,7 @@ class OnFile(FrozenArrays):
         # errors in common add up as they are, not as squares: it is a mean of standard deviations, of all entries or of
         # those near by, whichever is larger
         each = self.shared[:, None] + np.sqrt(1.0 - SHARES) * self.claimed[:, None]
-        near = np.exp(-0.5 * ((self.conicity - conicity) / NEAR) ** 2) + np.finfo(np.float64).tiny
+        near = np.exp(-0.5 * ((self.conicity - conicity) / SIGNATURE.near_conicity) ** 2) + np.finfo(np.float64).tiny
         return np.asarray(np.maximum(each.mean(axis=0), near @ each / near.sum()))
 
 
@@ -85,7 +83,7 @@ class Differences:
     claimed: FloatArray  # (w,)
 
 
-def judged_by(before: OnFile, seen: Differences) -> OnFile:
+def judged_by(before: OnFile, seen: Differences, parameters: SignatureParameters) -> OnFile:
     """Return what entries may be off by, given how far each wheelset is judged from what is on file."""
     share = 1.0
     if before.own.any():
@@ -97,31 +95,25 @@ def judged_by(before: OnFile, seen: Differences) -> OnFile:
         own=np.sqrt(share) * before.own,
         shared=np.sqrt(1.0 - share) * before.own,
         claimed=before.claimed,
-        shares=_posterior(seen) if before.claimed.any() else _NONE,
+        shares=_posterior(seen, parameters) if before.claimed.any() else _NONE,
     )
 
 
-def _posterior(seen: Differences) -> FloatArray:
+def _posterior(seen: Differences, parameters: SignatureParameters) -> FloatArray:
     """Return the probabilities (k,) of the shares; large ones are not likely beforehand."""
     # a wheelset's answers on several sections have errors of their own, so that their mean is as much better
     of = seen.claimed > 0.0
     squared, claimed, answers = seen.difference[of] ** 2, seen.claimed[of], seen.answers[of]
     about = np.linspace(-3.0, 3.0, 31)
-    scale = (ANSWER_STD * np.exp(ANSWER_SPREAD * about)) ** 2
+    scale = (parameters.answer_std * np.exp(parameters.answer_spread * about)) ** 2
     variance = scale[:, None, None] / answers + SHARES[:, None] * claimed
     weighed = -0.5 * np.sum(squared / variance + np.log(variance), axis=-1) - 0.5 * about[:, None] ** 2
-    posterior = (1.0 - SHARES) ** RELUCTANCE * np.exp(weighed - weighed.max()).sum(axis=0)
+    posterior = (1.0 - SHARES) ** parameters.reluctance * np.exp(weighed - weighed.max()).sum(axis=0)
     return np.asarray(posterior / posterior.sum())
 
 
-COVERAGE = 0.95
 NORMAL = float(special.ndtri(0.5 + 0.5 * COVERAGE))
-MOST_ANSWERS = 240  # that a factor is made from: more would cost more, and say little more
-GRID = 0.002  # of conicity
-FACTOR_STD = 0.3  # of the logarithm of the factor on standard deviations, before any answer is seen
-FACTORS = np.exp(np.linspace(-1.2, 1.2, 97))  # that are tried
-RARE = 0.02  # most probability outside what a library covers
-NOVEL = 0.99  # quantile of the distances, by their logarithms, from which on a signature is novel
+FACTORS = np.exp(np.linspace(-SIGNATURE.widest_factor, SIGNATURE.widest_factor, SIGNATURE.factor_points))
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +127,7 @@ class Reach:
     @property
     def largest(self) -> float:
         """Distance from which on a signature is novel: the quantile of one more wheelset."""
-        quantile = special.stdtrit(self.wheelsets - 1, NOVEL) * np.sqrt(1.0 + 1.0 / self.wheelsets)
+        quantile = special.stdtrit(self.wheelsets - 1, SIGNATURE.novel_quantile) * np.sqrt(1.0 + 1.0 / self.wheelsets)
         return float(np.exp(self.mean + quantile * self.std))
 
 
@@ -182,7 +174,9 @@ def calibrated(
     apart = _folds(rows, groups)
     judged = partial(_judged, rows, known, apart, margin=parameters.margin)
     shares = known.shares
-    found: dict[Basis, Calibration | Reason] = {Basis.SAME_PLACES: _of(judged(basis=Basis.SAME_PLACES), shares)}
+    found: dict[Basis, Calibration | Reason] = {
+        Basis.SAME_PLACES: _of(judged(basis=Basis.SAME_PLACES), shares, parameters)
+    }
     sections = len(np.unique(rows.section))
     if sections < parameters.least_sections:
         found[Basis.OTHER_PLACES] = Reason(
@@ -191,7 +185,7 @@ def calibrated(
             f" how sections differ; {parameters.least_sections} are needed",
         )
     else:
-        found[Basis.OTHER_PLACES] = _of(judged(basis=Basis.OTHER_PLACES), shares)
+        found[Basis.OTHER_PLACES] = _of(judged(basis=Basis.OTHER_PLACES), shares, parameters)
     return found
 
 
@@ -209,14 +203,14 @@ def differences(rows: Rows, known: OnFile, groups: Sequence[frozenset[str]], mar
 def conicity_grid(known: FloatArray, margin: float) -> FloatArray:
     """Return the conicities (k,) that are tried."""
     low, high = max(float(known.min()) - 2 * margin, 0.01), float(known.max()) + 2 * margin
-    return np.asarray(np.arange(low, high + GRID, GRID))
+    return np.asarray(np.arange(low, high + SIGNATURE.conicity_step, SIGNATURE.conicity_step))
 
 
 def _folds(rows: Rows, groups: Sequence[frozenset[str]]) -> list[BoolArray]:
     found = families(groups)
     family = {name: number for number, names in enumerate(found) for name in names}
     of_row = np.array([family[min(group)] for group in groups])
-    count = min(FOLDS, len(found))
+    count = min(SIGNATURE.fold_count, len(found))
     # families in the order of their conicity, so that every fold has all kinds
     means = np.bincount(of_row, rows.conicity, len(found)) / np.maximum(np.bincount(of_row, minlength=len(found)), 1)
     rank = np.argsort(np.argsort(means, kind="stable"), kind="stable")[of_row]
@@ -226,14 +220,14 @@ def _folds(rows: Rows, groups: Sequence[frozenset[str]]) -> list[BoolArray]:
 def outside(found: Likelihood, known: tuple[float, float], margin: float) -> bool:
     """Return whether the conicity may be one that a library does not cover: then it says nothing."""
     beyond = (found.conicity < known[0] - margin) | (found.conicity > known[1] + margin)
-    return float(found.posterior[beyond].sum()) > RARE
+    return float(found.posterior[beyond].sum()) > SIGNATURE.most_outside_probability
 
 
 def _judged(rows: Rows, on_file: OnFile, apart: Sequence[BoolArray], basis: Basis, margin: float) -> Iterator[_Judged]:
     """Yield how well wheelsets are judged, section by section, by those that share nothing with them."""
     # those of which nothing would be said are left out
     tasks = [task for left_out in apart for task in _tasks(rows, left_out, basis) if task[0].any() and task[1].any()]
-    each = -(-MOST_ANSWERS // max(len(tasks), 1))
+    each = -(-SIGNATURE.most_answers // max(len(tasks), 1))
     for taught, asked in tasks:
         model = fitted(rows.chosen(np.flatnonzero(taught)))
         known = np.unique(rows.place[taught])
@@ -271,19 +265,19 @@ def _tasks(rows: Rows, left_out: BoolArray, basis: Basis) -> Iterator[tuple[Bool
         yield ~left_out, left_out
         return
     sections, section = np.unique(rows.section, return_inverse=True)
-    count = min(FOLDS, len(sections))
+    count = min(SIGNATURE.fold_count, len(sections))
     for number in range(count):
         here = section % count == number
         yield ~left_out & ~here, left_out & here
 
 
-def _of(judged: Iterator[_Judged], shares: FloatArray) -> Calibration | Reason:
+def _of(judged: Iterator[_Judged], shares: FloatArray, parameters: SignatureParameters) -> Calibration | Reason:
     found = list(judged)
     wheelsets = len({one.wheelset for one in found})
     if wheelsets < 3:  # noqa: PLR2004 - a spread needs some
         return Reason(ReasonCode.LIBRARY_TOO_SMALL, "too few wheelsets of the library can be judged by the others")
     return Calibration(
-        weights=_weights([one for one in found if one.like] or found, shares),
+        weights=_weights([one for one in found if one.like] or found, shares, parameters),
         whole=_reach([one.whole for one in found], wheelsets),
         roll=_reach([one.roll for one in found], wheelsets),
     )
@@ -294,7 +288,7 @@ def _reach(distances: Sequence[float], wheelsets: int) -> Reach:
     return Reach(float(logarithms.mean()), float(logarithms.std(ddof=1)), wheelsets)
 
 
-def _weights(found: Sequence[_Judged], shares: FloatArray) -> FloatArray:
+def _weights(found: Sequence[_Judged], shares: FloatArray, parameters: SignatureParameters) -> FloatArray:
     """Return the probabilities (k, m) of shares and of factors on standard deviations, by those of the shares (k,)."""
     wheelset = np.unique([one.wheelset for one in found], return_inverse=True)[1]
     weight = 1.0 / np.bincount(wheelset)[wheelset]
@@ -304,7 +298,8 @@ def _weights(found: Sequence[_Judged], shares: FloatArray) -> FloatArray:
     weights = np.zeros((len(shares), len(FACTORS)))
     for number in np.flatnonzero(shares):
         variance = (FACTORS[:, None] * std) ** 2 + own + SHARES[number] * claimed
-        weighed = -0.5 * (error**2 / variance + np.log(variance)) @ weight - 0.5 * (np.log(FACTORS) / FACTOR_STD) ** 2
+        before = 0.5 * (np.log(FACTORS) / parameters.factor_std) ** 2
+        weighed = -0.5 * (error**2 / variance + np.log(variance)) @ weight - before
         posterior = np.exp(weighed - weighed.max())
         weights[number] = shares[number] * posterior / posterior.sum()
     return weights

@@ -19,14 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from estimation.signatures.calibration import Calibration, OnFile, calibrated, differences, judged_by, unjudged
-from estimation.signatures.mixed_model import (
-    MixedModel,
-    Rows,
-    fitted,
-    levels_between,
-    scatter_of,
-    track_effects,
-)
+from estimation.signatures.mixed_model import MixedModel, Rows, fitted, levels_between, scatter_of, track_effects
 from estimation.signatures.window_signatures import SignatureParameters, folds, sharers
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.reasons import Reason, ReasonCode
@@ -81,7 +74,9 @@ def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) ->
         )
     groups = [sharers(entry) for entry in ordered]
     before = unjudged(ordered)
-    on_file = judged_by(before, differences(rows_of(ordered, 0.0 * before.own), before, groups, parameters.margin))
+    on_file = judged_by(
+        before, differences(rows_of(ordered, 0.0 * before.own), before, groups, parameters.margin), parameters
+    )
     rows = rows_of(ordered, on_file.alone)
     places = {place: number for number, place in enumerate(sorted({_place(entry) for entry in ordered}))}
     sections = {code: number for number, code in enumerate(sorted({place.section for place in places}))}
@@ -137,11 +132,6 @@ def _place(entry: LibraryEntry) -> Place:
     return entry.signature.place
 
 
-LEAST_PASSES = 3  # on either side of a change
-ROUNDS = 2  # in which the times of changes and the scatter about them are found
-LARGEST = 5.5  # squared distance over the number of features, from which on a place has changed
-
-
 @dataclass(frozen=True, slots=True)
 class Change:
     """When the track of a place changed."""
@@ -162,7 +152,7 @@ class Current:
     changes: tuple[Change, ...]
 
 
-def current(entries: Sequence[LibraryEntry]) -> Current:
+def current(entries: Sequence[LibraryEntry], parameters: SignatureParameters) -> Current:
     """Return the entries of the present track of every place."""
     if not entries:
         return Current((), (), ())
@@ -177,13 +167,14 @@ def current(entries: Sequence[LibraryEntry]) -> Current:
     wheelset = np.unique(rows.wheelset, return_inverse=True)[1]
     scatter = np.eye(tracks.shape[1]), np.eye(tracks.shape[1])
     order = np.concatenate([members for _, members in sorted(by_place.items())])
-    for _ in range(ROUNDS):
-        found = [_change(span, track, scatter) for span, track in zip(spans, of_places, strict=True)]
+    for _ in range(parameters.library_rounds):
+        found = [_change(span, track, scatter, parameters) for span, track in zip(spans, of_places, strict=True)]
         sides = [_from_sides(track, change) for track, change in zip(of_places, found, strict=True)]
         means = len(found) + sum(change is not None for change in found)
         scatter = scatter_of(np.concatenate(sides), wheelset[order], means)
-    found = [_change(span, track, scatter) for span, track in zip(spans, of_places, strict=True)]
-    changes = {change.place: change for change in found if change is not None and change.distance > LARGEST}
+    found = [_change(span, track, scatter, parameters) for span, track in zip(spans, of_places, strict=True)]
+    most = parameters.largest_distance
+    changes = {change.place: change for change in found if change is not None and change.distance > most}
     kept, retired = [], []
     for entry in entries:
         change = changes.get(entry.signature.place) if entry.signature.place else None
@@ -197,11 +188,14 @@ def current(entries: Sequence[LibraryEntry]) -> Current:
 
 
 def _change(
-    entries: Sequence[LibraryEntry], tracks: FloatArray, scatter: tuple[FloatArray, FloatArray]
+    entries: Sequence[LibraryEntry],
+    tracks: FloatArray,
+    scatter: tuple[FloatArray, FloatArray],
+    parameters: SignatureParameters,
 ) -> Change | None:
     of_wheelset, rest = scatter
     best: Change | None = None
-    for at in range(LEAST_PASSES, len(entries) - LEAST_PASSES + 1):
+    for at in range(parameters.least_passes, len(entries) - parameters.least_passes + 1):
         before, after = entries[at - 1].signature, entries[at].signature
         if before.start_ns == after.start_ns:
             continue
@@ -290,7 +284,7 @@ class Libraries:
     def _of(self, subject: Subject) -> _Alike:
         key = _key(subject)
         if key not in self._alike:
-            self._alike[key] = _alike(self.entries, subject, self.parameters.most_entries)
+            self._alike[key] = _alike(self.entries, subject, self.parameters.most_entries, self.parameters)
         return self._alike[key]
 
 
@@ -308,7 +302,7 @@ def _outside(alike: _Alike, subject: Subject) -> frozenset[str]:
     return frozenset().union(*touched)
 
 
-def _alike(entries: Sequence[LibraryEntry], subject: Subject, most: int) -> _Alike:
+def _alike(entries: Sequence[LibraryEntry], subject: Subject, most: int, parameters: SignatureParameters) -> _Alike:
     kept, left_out = [], Counter[ReasonCode]()
     for entry in entries:
         signature = entry.signature
@@ -325,7 +319,7 @@ def _alike(entries: Sequence[LibraryEntry], subject: Subject, most: int) -> _Ali
         for name in sharers(entry):
             holding[name].add(number)
     numbers = {name: frozenset(found) for name, found in holding.items()}
-    return _Alike(tuple(chosen), folds(chosen), numbers, left_out)
+    return _Alike(tuple(chosen), folds(chosen, parameters), numbers, left_out)
 
 
 def _newest(entries: Sequence[LibraryEntry], most: int) -> Sequence[LibraryEntry]:

@@ -20,16 +20,12 @@ from typing import Annotated
 
 import numpy as np
 
+from estimation.signatures.parameters import SIGNATURE
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.signatures import SIGNALS
 
-CONICITY, SPEED = 0.2, 20.0  # that the polynomial is about
 TERMS = 5  # without the product of conicity and level
-LARGEST_SHARE = 0.9  # of the variance along the response that may be taken out
-SHRINKING = 0.05  # of covariances towards their diagonals
-RIDGE = 1e-4  # variance of a log feature that nothing is better known than
 LEVEL = 0  # number of the feature
-LEVEL_MARGIN = 0.2  # of the logarithm of a power, by which a track may always be rougher or smoother than known ones
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +79,7 @@ def features_of(powers: FloatArray) -> FloatArray:
 
 def terms(conicity: FloatArray, speed: FloatArray) -> FloatArray:
     """Return the terms (..., 5) of the response, the logarithm of the conicity first."""
-    c, v = np.broadcast_arrays(np.log(conicity / CONICITY), np.log(speed / SPEED))
+    c, v = np.broadcast_arrays(np.log(conicity / SIGNATURE.middle_conicity), np.log(speed / SIGNATURE.usual_speed))
     return np.stack([c, c * c, v, v * v, c * v], axis=-1)
 
 
@@ -107,7 +103,7 @@ def fitted(rows: Rows) -> MixedModel:
     sections, section = np.unique(rows.section[np.unique(place, return_index=True)[1]], return_inverse=True)
     mean = _means(effects, section).mean(axis=0)
     level = effects[:, LEVEL] - mean[LEVEL]
-    of_level = level @ (effects - mean) / max(float(level @ level), RIDGE)
+    of_level = level @ (effects - mean) / max(float(level @ level), SIGNATURE.ridge_variance)
     around = effects - mean - level[:, None] * of_level
     by_section = _means(around, section)
     bent = _bent(_means(rows.conicity[:, None], wheelset)[:, 0])
@@ -130,7 +126,7 @@ def fitted(rows: Rows) -> MixedModel:
 
 def _of_errors(rows: Rows, response: FloatArray, level: FloatArray) -> FloatArray:
     """Return the covariance (f, f) that errors of the known conicities give the features, by the slopes at each."""
-    c, v = np.log(rows.conicity / CONICITY), np.log(rows.speed / SPEED)
+    c, v = np.log(rows.conicity / SIGNATURE.middle_conicity), np.log(rows.speed / SIGNATURE.usual_speed)
     none = np.zeros_like(c)
     slopes = np.stack([none + 1.0, 2.0 * c, none, none, v, level], axis=1) @ response
     return np.asarray((slopes * rows.variance[:, None]).T @ slopes / len(slopes))
@@ -146,7 +142,7 @@ def scatter_of(residuals: FloatArray, wheelset: IntArray, means: int) -> tuple[F
 
 
 def _bent(conicity: FloatArray) -> FloatArray:
-    c = np.log(conicity / CONICITY)
+    c = np.log(conicity / SIGNATURE.middle_conicity)
     return np.stack([np.ones_like(c), c, c * c], axis=-1)
 
 
@@ -176,7 +172,8 @@ def _means(values: FloatArray, group: IntArray) -> FloatArray:
 
 def _covariance(residuals: FloatArray, freedom: int) -> FloatArray:
     raw = residuals.T @ residuals / freedom
-    return np.asarray((1 - SHRINKING) * raw + SHRINKING * np.diag(np.diag(raw)) + RIDGE * np.eye(len(raw)))
+    share, ridge = SIGNATURE.covariance_shrinkage, SIGNATURE.ridge_variance
+    return np.asarray((1 - share) * raw + share * np.diag(np.diag(raw)) + ridge * np.eye(len(raw)))
 
 
 def _of_means(group: IntArray) -> float:
@@ -189,7 +186,7 @@ def _less(whole: FloatArray, part: FloatArray) -> FloatArray:
     root = np.linalg.cholesky(whole)
     half = np.linalg.solve(root, part)
     share, axes = np.linalg.eigh(np.linalg.solve(root, half.T))
-    left = root @ axes * np.sqrt(1.0 - np.clip(share, 0.0, LARGEST_SHARE))
+    left = root @ axes * np.sqrt(1.0 - np.clip(share, 0.0, SIGNATURE.largest_share))
     return np.asarray(left @ left.T)
 
 
@@ -206,7 +203,7 @@ def levels_between(model: MixedModel, section: IntArray, places: int) -> tuple[f
     mean = np.bincount(section, model.levels) / np.bincount(section)
     within = float(np.std(model.levels - mean[section]))
     ordered = np.sort(mean)
-    gap = float(max(ordered[1] - ordered[0], ordered[-1] - ordered[-2], LEVEL_MARGIN))
+    gap = float(max(ordered[1] - ordered[0], ordered[-1] - ordered[-2], SIGNATURE.level_margin))
     reach = gap + 2.0 * within / np.sqrt(places)
     return float(ordered[0]) - reach, float(ordered[-1]) + reach
 

@@ -17,14 +17,8 @@ from estimation.motion.integration import (
     WindowParameters,
     integrate,
 )
-from estimation.motion.rolling_radius_difference import (
-    OVERSAMPLING,
-    SHORTEST,
-    STEP,
-    fuse,
-    motion_signals,
-    sample_smoothed,
-)
+from estimation.motion.rolling_radius_difference import FUSED, fuse, motion_signals, sample_smoothed
+from estimation.signatures.parameters import SIGNATURE
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import POWERS, SIGNALS, AxlePosition, LibraryEntry, Place, Signature
@@ -49,15 +43,23 @@ class SignatureParameters:
     margin: float = 0.01  # of conicity, by which an answer may be outside those of the library
     speed_margin: float = 1.0  # m/s, the same of speed
     states: tuple[float, ...] = (0.10, 0.15, 0.20, 0.25, 0.30, 0.35)  # conicities between seven states of wear
+    answer_std: float = 0.006  # of an answer about one wheelset on one section, before any is seen
+    answer_spread: float = 0.3  # std of its logarithm
+    reluctance: int = 3  # power of what is in common, by which shares are less likely beforehand
+    factor_std: float = 0.3  # of the logarithm of the factor on standard deviations, before any answer is seen
+    least_passes: int = 3  # on either side of a change
+    library_rounds: int = 2  # in which the times of changes and the scatter about them are found
+    largest_distance: float = 5.5  # squared distance over the number of features, from which on a place has changed
+    most_own_folds: int = 12  # families, up to which each of them is a fold of its own
+    signal_pairs: tuple[tuple[int, int], ...] = ((0, 1), (0, 2), (1, 2))
+    end_margin: float = 10.0  # m that are left out at each end of a segment
+    least_std: float = 0.003  # of a conicity from measured profiles
+    speed_band: float = 5.0  # m/s: of each wheelset, place and band the newest signature is an entry
 
     @property
     def bands(self) -> int:
         """Number of bands of wavelength."""
         return len(self.wavelengths) - 1
-
-
-FOLDS = 6
-ALONE = 12  # families, up to which each of them is a fold of its own
 
 
 def families(groups: Iterable[frozenset[str]]) -> list[frozenset[str]]:
@@ -69,26 +71,23 @@ def families(groups: Iterable[frozenset[str]]) -> list[frozenset[str]]:
     return sorted({frozenset(names) for names in member.values()}, key=min)
 
 
-def folds(entries: Sequence[LibraryEntry]) -> list[frozenset[str]]:
+def folds(entries: Sequence[LibraryEntry], parameters: SignatureParameters) -> list[frozenset[str]]:
     """Return wheelsets that are left out together, none of whose data are in entries of others."""
     # In a small library each family is a fold. In a larger one there are six, each with all kinds of conicity.
     known: dict[str, list[float]] = {}
     for entry in entries:
         known.setdefault(entry.wheelset, []).append(entry.conicity)
     found = families(sharers(entry) for entry in entries)
-    if len(found) <= ALONE:
+    if len(found) <= parameters.most_own_folds:
         return found
     mean = {name: sum(values) / len(values) for name, values in known.items()}
     ordered = sorted(found, key=lambda names: (min(mean[name] for name in names if name in mean), min(names)))
-    return [frozenset().union(*ordered[first::FOLDS]) for first in range(FOLDS)]
+    return [frozenset().union(*ordered[first :: SIGNATURE.fold_count]) for first in range(SIGNATURE.fold_count)]
 
 
 def sharers(entry: LibraryEntry) -> frozenset[str]:
     """Return the wheelsets whose samples are in an entry."""
     return frozenset(entry.shares_data) | {entry.wheelset}
-
-
-_PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 def band_spectra(signals: FloatArray, parameters: SignatureParameters) -> tuple[FloatArray, float]:
@@ -106,7 +105,7 @@ def band_spectra(signals: FloatArray, parameters: SignatureParameters) -> tuple[
     inside = [(wavenumber >= low) & (wavenumber < high) for low, high in pairwise(ends)]
     bands = np.stack([mean[:, :, chosen].mean(axis=2) for chosen in inside])  # (b, 3, 3)
     columns = [bands[:, i, i].real for i in range(POWERS)]
-    for i, k in _PAIRS:
+    for i, k in parameters.signal_pairs:
         columns += [bands[:, i, k].real, bands[:, i, k].imag]
     return np.stack(columns, axis=1), _peak(mean[1, 1].real, wavenumber, ends)
 
@@ -124,10 +123,6 @@ def _peak(power: FloatArray, wavenumber: FloatArray, ends: FloatArray) -> float:
     smooth = np.convolve(power, np.ones(3) / 3, mode="same")
     chosen = (wavenumber >= ends[0]) & (wavenumber < ends[-1])
     return float(1.0 / wavenumber[chosen][np.argmax(smooth[chosen])])
-
-
-MARGIN = 10.0  # m that are left out at each end of a segment
-_INCREASE = 1e-9  # m from sample to sample at least
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,13 +194,13 @@ def _checked(window: Window, signals: SignalParameters, layout: TrackLayout | No
 def _stretch(segment: IntegratedSegment, window: Window, parameters: WindowParameters, way: int) -> _Stretch:
     known = np.flatnonzero(segment.known)
     at = np.interp(np.arange(len(segment.known)), known, window.distance[segment.part][known])
-    run = np.maximum.accumulate(way * at) + _INCREASE * np.arange(len(at))
+    run = np.maximum.accumulate(way * at) + SIGNATURE.least_step * np.arange(len(at))
     fused = fuse(motion_signals(segment, parameters.vehicle, run), parameters.vehicle)
-    first, count = round(float(fused.run[0]) / STEP), len(fused.run)
-    fine = STEP / OVERSAMPLING
-    weights = local_cubic_kernel(SHORTEST[1], fine)
+    first, count = round(float(fused.run[0]) / FUSED.grid_step), len(fused.run)
+    fine = FUSED.grid_step / FUSED.oversampling
+    weights = local_cubic_kernel(FUSED.shortest_waves[1], fine)
     others = np.stack([segment.displacements[2], segment.speed])
-    roll, speed = sample_smoothed(others, run, OVERSAMPLING * first, count, OVERSAMPLING, fine, weights)
+    roll, speed = sample_smoothed(others, run, FUSED.oversampling * first, count, FUSED.oversampling, fine, weights)
     begin = first if way > 0 else -(first + count - 1)
     signals = np.stack([fused.displacement, fused.difference, roll])
     return _Stretch(begin, np.asarray(signals[:, ::way]), np.asarray(speed[::way]))
@@ -213,7 +208,7 @@ def _stretch(segment: IntegratedSegment, window: Window, parameters: WindowParam
 
 def _cells(stretch: _Stretch, parameters: SignatureParameters) -> Iterator[tuple[int, slice]]:
     size = round(parameters.cell / parameters.step)
-    margin = round(MARGIN / parameters.step)
+    margin = round(parameters.end_margin / parameters.step)
     first, behind = stretch.first + margin, stretch.first + stretch.signals.shape[1] - margin
     for cell in range(-(-first // size), behind // size):
         begin = cell * size - stretch.first

@@ -25,11 +25,14 @@ from scipy.ndimage import uniform_filter1d
 from estimation.compiled import compiled
 from estimation.errors import ParameterError
 from estimation.motion.integration import WindowParameters
+from estimation.motion.parameters import MOTION
 from estimation.motion.window_motion import window_motion
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.geometry import BinTable, FilledCells
+from estimation.values.memory import MEMORY
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
+from estimation.values.units import STD_PER_MAD
 from estimation.values.windows import Motion, Window
 from estimation.vehicle.regressors import (
     LATERAL_TARGETS,
@@ -48,8 +51,6 @@ from estimation.vehicle.regressors import (
     yaw_targets,
 )
 from estimation.vehicle.vehicle_class import VehicleParameters, difference_noise
-
-SMALLEST_EIGENVALUE = 1e-10  # of the scaled normal matrix; below it a direction is not in the data
 
 
 def packed_size(regressors: int, targets: int) -> int:
@@ -87,7 +88,7 @@ def inverses(gram: FloatArray) -> FloatArray:
     scaled_inverse = np.full_like(scaled, np.nan)
     filled = np.all(scale > 0, axis=1)  # the others have directions that are not in the data
     values, vectors = np.linalg.eigh(scaled[filled])
-    ok = values[:, 0] > SMALLEST_EIGENVALUE
+    ok = values[:, 0] > MOTION.smallest_eigenvalue
     inverse_values = np.full_like(values, np.nan)
     inverse_values[ok] = 1.0 / values[ok]
     scaled_inverse[filled] = np.einsum("cij,cj,ckj->cik", vectors, inverse_values, vectors)
@@ -224,7 +225,6 @@ class TableSum:
 
 
 TABLE_VERSION = 6
-KEYS = 256  # wheelsets whose keys are kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,7 +264,7 @@ class BinParameters:
         return _key(self)
 
 
-@lru_cache(maxsize=KEYS)
+@lru_cache(maxsize=MEMORY.wheelset_keys)
 def _key(parameters: BinParameters) -> str:
     text = json.dumps({"version": TABLE_VERSION, **asdict(parameters)}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -336,12 +336,8 @@ def fast_noise(difference: FloatArray, valid: BoolArray) -> float:
     if not known.any():
         return 0.0
     filled = np.where(known, difference, 0.0)
-    fast = filled - uniform_filter1d(filled, FAST_SAMPLES)
-    return (float(np.median(np.abs(fast[known]))) * MEDIAN_TO_STD) ** 2
-
-
-FAST_SAMPLES = 17  # at 250 Hz: faster than some 10 Hz
-MEDIAN_TO_STD = 1.4826  # of the absolute value of a normal variable
+    fast = filled - uniform_filter1d(filled, MOTION.fast_mean_samples)
+    return (float(np.median(np.abs(fast[known]))) * STD_PER_MAD) ** 2
 
 
 def merge_all(tables: Iterable[BinTable | FilledCells], parameters: BinParameters) -> BinTable:

@@ -7,14 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.track.gauge.search import (
-    FEWEST_PASSES,
-    GaugePrior,
-    SearchParameters,
-    gauge_step,
-    search_gauge,
-    with_gauge_effect,
-)
+from estimation.track.gauge.search import GaugePrior, SearchParameters, gauge_step, search_gauge, with_gauge_effect
 from estimation.track.gauge.wheel_functions import (
     contact_samples,
     fit_wheels,
@@ -45,6 +38,7 @@ from estimation.track.panel.solution import (
     residual_of_passes,
     result,
 )
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Journey, Pass, PositionParameters
 from estimation.track.positions import compose, correlate_positions, refine, register
 from estimation.track.survey_positions import positions_on_survey
@@ -153,7 +147,7 @@ def iterate(
     first = first_rounds(setting, panel, corrections)
     setting = replace(setting, placed_on_survey=first.placed_on_survey)
     constant = prior is not None and prior.gauge_known and not prior.gauge.any()
-    if constant or not (first.state.count >= FEWEST_PASSES).any():
+    if constant or not (first.state.count >= TRACK.fewest_place_passes).any():
         return first
     if (
         prior is None or not prior.gauge_known
@@ -240,7 +234,7 @@ def _rounds(
 ) -> IterationResult:
     p, empty = setting.parameters, init(panel)
     placed = place(setting.grouped, corrections, ratio_values(ratios), panel.grid)
-    nothing = result(empty, std=False)
+    nothing = result(empty, std=False, parameters=panel.parameters)
     found = IterationResult(panel, empty, nothing, placed, ratios, 0, float("inf"), float("inf"), p.pass_std)
     while not (found.at_rest(p) or found.rounds >= p.rounds - 1):
         found = _repositioned(setting, _solved(setting, found, panel))
@@ -320,7 +314,7 @@ def _with_wheels(found: IterationResult, *, sized: bool = False) -> Panel:
 
 def _solved(setting: Setting, found: IterationResult, panel: Panel, *, std: bool = False) -> IterationResult:
     state = update(init(panel), found.passes)
-    solution = result(_state_with_prior(state, setting, found.noise), std=std)
+    solution = result(_state_with_prior(state, setting, found.noise), std=std, parameters=panel.parameters)
     noise = max(residual_of_passes(state, solution), 0.1 * setting.parameters.pass_std)
     return replace(found, panel=panel, state=state, solution=solution, noise=noise, rounds=found.rounds + 1)
 

@@ -28,10 +28,11 @@ from estimation.motion.checks import (
 )
 from estimation.motion.integration import IntegratedWindow, WindowParameters, bridged, integrate
 from estimation.motion.rolling_radius_difference import fuse, motion_signals
+from estimation.track.parameters import TRACK
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.registry import WheelsetRecord
-from estimation.values.track import OPEN_NS
+from estimation.values.units import LATEST_NS, SECOND_NS
 from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality, WindowRecord
 from estimation.vehicle.vehicle_class import VehicleParameters
 
@@ -122,9 +123,6 @@ def passes(
     return found
 
 
-NANOSECONDS = 1_000_000_000
-
-
 @dataclass(frozen=True, slots=True)
 class PositionParameters:
     """How far positions may be off."""
@@ -133,6 +131,13 @@ class PositionParameters:
     pause_s: float = 300.0  # a longer pause between windows of a vehicle begins a new journey
     piece: float = 800.0  # m of a pass that is compared at a time
     least_correlation: float = 0.4
+    partners: int = 16  # journeys that each is compared with
+    network_reweightings: int = 20
+    least_spread: float = 0.1  # m, of the shifts about the adjustment
+    shift_std: float = 0.5  # m, of a shift, against:
+    offset_std: float = 20.0  # m, of a reported position
+    scale_std: float = 3e-3  # of an odometer
+    reweightings: int = 10  # of the line through the lags
 
 
 Journey = tuple[str, int]  # vehicle, start of its first window, ns
@@ -145,7 +150,7 @@ def journeys(passes: Sequence[Pass], parameters: PositionParameters) -> dict[Jou
     for item in sorted(passes, key=lambda p: (p.vehicle, p.start_ns, p.life)):
         end = item.start_ns
         known = last.get(item.vehicle)
-        if known is None or end - known[1] > parameters.pause_s * NANOSECONDS:
+        if known is None or end - known[1] > parameters.pause_s * SECOND_NS:
             journey = (item.vehicle, item.start_ns)
             found[journey] = []
         else:
@@ -195,7 +200,7 @@ def examine(
 
 
 Item = TypeVar("Item")
-MOST = 4  # windows; the pass of a longer run is cut, so that a window that comes late changes little
+MOST = TRACK.most_pass_windows
 
 
 def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], most: int = MOST) -> list[list[Item]]:
@@ -293,9 +298,9 @@ class _Journey:
 
 def first_epoch(entries: Sequence[Entry], most_windows: int, most_wheelsets: int, p: PartitionParameters) -> Group:
     """Return the windows of the first epoch of entries by start and wheelset; one journey may be more than the most."""
-    pause_ns, journey_ns = round(p.pause_h * 3600 * NANOSECONDS), round(p.journey_pause_s * NANOSECONDS)
+    pause_ns, journey_ns = round(p.pause_h * 3600 * SECOND_NS), round(p.journey_pause_s * SECOND_NS)
     chosen: list[_Journey] = []
-    count, end_ns, horizon_ns = 0, 0, OPEN_NS
+    count, end_ns, horizon_ns = 0, 0, LATEST_NS
     lives: set[ProfileLife] = set()
     for journey in _journeys(entries, journey_ns, most_windows):
         paused = count >= p.least_windows and journey.first_ns - end_ns > pause_ns

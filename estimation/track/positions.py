@@ -93,12 +93,6 @@ def peak(
     return Peak(0.5 * (points[0] + points[-1]) * grid.step, shift * grid.step, float(scores[k]))
 
 
-PARTNERS = 16  # journeys that each is compared with
-NETWORK_REWEIGHTINGS = 20
-LEAST_SPREAD = 0.1  # m, of the shifts about the adjustment
-SHIFT_STD = 0.5  # m, of a shift, against:
-OFFSET_STD = 20.0  # m, of a reported position
-SCALE_STD = 3e-3  # of an odometer
 _Extent = tuple[int, int]  # grid points between which a journey has a displacement; nowhere where they are equal
 
 
@@ -117,13 +111,13 @@ def adjusted_positions(
         extents.append((int(met[0]), int(met[-1]) + 1) if len(met) else (0, 0))
     shifts = [
         (first, second, one)
-        for first, second in _pairs(extents, 4 * int(parameters.largest_offset / grid.step))
+        for first, second in _pairs(extents, 4 * int(parameters.largest_offset / grid.step), parameters)
         for points in (_shared(extents[first], extents[second]),)
         for one in clear_peaks(points, signals[first][points], signals[second], grid, parameters)
     ]
     middle = 0.5 * grid.length
     reported = np.array([0.5 * (first + last) * grid.step - middle for first, last in extents])
-    offset, scale = _adjusted(shifts, reported, middle)
+    offset, scale = _adjusted(shifts, reported, middle, parameters)
     return {
         journey: Correction(offset=float(offset[i]), scale=float(scale[i]), middle=middle)
         for i, journey in enumerate(grouped)
@@ -134,18 +128,18 @@ def _shared(one: _Extent, other: _Extent) -> IntArray:
     return np.arange(max(one[0], other[0]), min(one[1], other[1]), dtype=np.int64)
 
 
-def _pairs(extents: Sequence[_Extent], least: int) -> list[tuple[int, int]]:
+def _pairs(extents: Sequence[_Extent], least: int, parameters: PositionParameters) -> list[tuple[int, int]]:
     pairs = set()
     order = sorted(range(len(extents)), key=lambda i: (0.5 * (extents[i][0] + extents[i][1]), i))
     for i, own in enumerate(extents):
         others = [j for j in order if j != i and len(_shared(own, extents[j])) >= least]
-        chosen = {others[round(k)] for k in np.linspace(0, len(others) - 1, PARTNERS)} if others else set()
+        chosen = {others[round(k)] for k in np.linspace(0, len(others) - 1, parameters.partners)} if others else set()
         pairs |= {(min(i, j), max(i, j)) for j in chosen}
     return sorted(pairs)
 
 
 def _adjusted(
-    shifts: Sequence[tuple[int, int, Peak]], reported: FloatArray, middle: float
+    shifts: Sequence[tuple[int, int, Peak]], reported: FloatArray, middle: float, parameters: PositionParameters
 ) -> tuple[FloatArray, FloatArray]:
     """Return offset (n,), m, and scale error (n,) of journeys ``reported`` (n,) m from the middle, by shifts."""
     n = len(reported)
@@ -154,25 +148,24 @@ def _adjusted(
     known = np.array([peak.correlation**2 for _, _, peak in shifts])
     columns = np.stack([first, n + first, second, n + second], axis=1).reshape(-1, 4)
     ones = np.ones(len(shifts))
-    rows = np.stack([ones, u - middle, -ones, middle - u], axis=1).reshape(-1, 4) / SHIFT_STD
+    rows = np.stack([ones, u - middle, -ones, middle - u], axis=1).reshape(-1, 4) / parameters.shift_std
     squares = rows[:, :, None] * rows[:, None, :]
-    at = np.concatenate([np.eye(n), np.diag(reported)], axis=1) / OFFSET_STD  # journeys are near where they report
-    scale = np.concatenate([np.zeros((n, n)), np.eye(n)], axis=1) / SCALE_STD
+    at = (
+        np.concatenate([np.eye(n), np.diag(reported)], axis=1) / parameters.offset_std
+    )  # journeys are near where they report
+    scale = np.concatenate([np.zeros((n, n)), np.eye(n)], axis=1) / parameters.scale_std
     prior = at.T @ at + scale.T @ scale
     found: FloatArray = np.zeros(2 * n)
     weights: FloatArray = known
-    for _ in range(NETWORK_REWEIGHTINGS):
+    for _ in range(parameters.network_reweightings):
         normal, right = prior.copy(), np.zeros(2 * n)
         np.add.at(normal, (columns[:, :, None], columns[:, None, :]), weights[:, None, None] * squares)
-        np.add.at(right, columns, (weights * lag / SHIFT_STD)[:, None] * rows)
+        np.add.at(right, columns, (weights * lag / parameters.shift_std)[:, None] * rows)
         found = np.asarray(np.linalg.solve(normal, right))
-        left = np.abs(lag - SHIFT_STD * (rows * found[columns]).sum(axis=1))
-        spread = 2.0 * max(float(np.median(left)), LEAST_SPREAD) if len(left) else LEAST_SPREAD
+        left = np.abs(lag - parameters.shift_std * (rows * found[columns]).sum(axis=1))
+        spread = 2.0 * max(float(np.median(left)), parameters.least_spread) if len(left) else parameters.least_spread
         weights = np.asarray(known / (1.0 + (left / spread) ** 2))
     return found[:n], found[n:]
-
-
-REWEIGHTINGS = 10  # of the line through the lags
 
 
 def correlate_positions(
@@ -195,7 +188,7 @@ def correlate_positions(
             for points, y in filtered_displacements(members, grid)
             for one in clear_peaks(points, y, alignment, grid, parameters)
         ]
-        corrections[journey] = _fitted(Correction(middle=0.5 * grid.length), peaks)
+        corrections[journey] = _fitted(Correction(middle=0.5 * grid.length), peaks, parameters)
     return corrections
 
 
@@ -238,7 +231,7 @@ def register(
     if not known:
         return Correction(middle=0.5 * grid.length), 0.0
     score = float(np.mean([one.correlation for one in known]))
-    return _fitted(Correction(middle=0.5 * grid.length), known), score
+    return _fitted(Correction(middle=0.5 * grid.length), known, parameters), score
 
 
 def compose(first: Correction, second: Correction) -> Correction:
@@ -247,14 +240,14 @@ def compose(first: Correction, second: Correction) -> Correction:
     return replace(first, offset=first.offset + second.offset + second.scale * at, scale=first.scale + second.scale)
 
 
-def _fitted(correction: Correction, peaks: Sequence[Peak]) -> Correction:
+def _fitted(correction: Correction, peaks: Sequence[Peak], parameters: PositionParameters) -> Correction:
     if not peaks:
         return correction
     s, lag = np.array([(one.middle, one.shift) for one in peaks]).T
     u = s - correction.middle
     weights = np.ones(len(u))
     line = np.zeros(2)
-    for _ in range(REWEIGHTINGS):
+    for _ in range(parameters.reweightings):
         design = np.stack([weights, weights * u])
         ridge = np.diag([0.0, 1e-6 * float(u @ u) + 1e4])  # a short journey hardly determines its scale
         line = np.linalg.solve(design @ np.stack([np.ones(len(u)), u]).T + ridge, design @ lag)

@@ -17,6 +17,7 @@ from estimation.track.iteration import Grouped, IterationResult, Setting, first_
 from estimation.track.panel.basis import MeasuredCurve, Panel, unfiltered_residual
 from estimation.track.panel.instrumental_slope import PRIOR_STD
 from estimation.track.panel.solution import PanelSolution, PriorAlignment, between_pass_std_ratio, prior_on_grid
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Journey, ProfileLife
 from estimation.track.positions import correlate_positions
 from estimation.track.settings import SectionParameters
@@ -143,12 +144,6 @@ def long_wave_alignment(
     return LongWaveAlignment(mean, float(np.sqrt(max(spread, 0.0))), count, curves / shared)
 
 
-SENSOR_RESIDUAL = 0.07e-3  # m, rms of y - d - h(R) that sensors and small terms of the equations make
-GAUGE_EFFECT = 0.1  # m by which a metre of gauge moves wheelsets of widely different wear apart
-OPEN_SLOPE = 10.0  # relative std of the curves: nothing is known of them, and numbers stay finite
-WIDELY_DIFFERENT = 0.5  # std of R between the passes of a place over the std of R
-
-
 def merged_alignment(
     section: str, iterated: IterationResult, prior: TrackAlignment | None, p: SectionParameters
 ) -> TrackAlignment:
@@ -167,9 +162,9 @@ def merged_alignment(
     certain = (found.passes >= p.panel.least_passes) | np.isfinite(known.std)
     shown, shown_gauge = findings(iterated, gauge_estimated=not known.gauge_known)
     gauge = known.gauge if shown_gauge is None else shown_gauge
-    gauge_std = _gauge_std(iterated, known, shown_gauge)
+    gauge_std = _gauge_std(iterated, known, shown_gauge, p)
     profile_std, profile_scale_std = _profile_uncertainty(iterated)
-    slope_std = 0.0 if iterated.slope is None else min(iterated.slope.std, OPEN_SLOPE)
+    slope_std = 0.0 if iterated.slope is None else min(iterated.slope.std, p.open_slope_std)
     of_gauge = p.systematic_per_gauge[shown_gauge is not None] * float(np.std(gauge))
     systematic = p.systematic**2 + of_gauge**2 + profile_std**2 + (slope_std * found.curves) ** 2
     std = _std(found, shared, iterated.solution.common_std, systematic)
@@ -199,7 +194,9 @@ def _std(found: LongWaveAlignment, shared: FloatArray, of_curves: FloatArray, sy
     return np.asarray(np.sqrt(std**2 + found.passes / shared * systematic))
 
 
-def _gauge_std(iterated: IterationResult, known: PriorAlignment, shown: FloatArray | None) -> FloatArray:
+def _gauge_std(
+    iterated: IterationResult, known: PriorAlignment, shown: FloatArray | None, parameters: SectionParameters
+) -> FloatArray:
     """Return the std (n,), m, of the gauge deviation: as surveyed, or by what it does to passes that know none of it.
 
     Passes disagree by more than sensors make them where a gauge that is not modelled moves their wheelsets apart;
@@ -207,9 +204,9 @@ def _gauge_std(iterated: IterationResult, known: PriorAlignment, shown: FloatArr
     """
     if known.gauge_known:
         return known.gauge_std
-    unexplained = float(np.sqrt(max(iterated.noise_without_gauge**2 - SENSOR_RESIDUAL**2, 0.0)))
-    differing = min(between_pass_std_ratio(iterated.state) / WIDELY_DIFFERENT, 1.0)
-    inferred = unexplained / (GAUGE_EFFECT * differing) if differing > 0.0 else 0.0
+    unexplained = float(np.sqrt(max(iterated.noise_without_gauge**2 - parameters.sensor_residual_rms**2, 0.0)))
+    differing = min(between_pass_std_ratio(iterated.state) / parameters.wide_std_ratio, 1.0)
+    inferred = unexplained / (parameters.gauge_effect * differing) if differing > 0.0 else 0.0
     found = 0.0 if shown is None else float(np.std(shown))
     return np.full_like(known.gauge_std, max(inferred, found))
 
@@ -230,15 +227,11 @@ def _profile_uncertainty(iterated: IterationResult) -> tuple[float, float]:
     return float(std), float(np.hypot(scale, of_stiffness))
 
 
-CORRELATED = 20.0  # m along the track over which the error of y - d - h(R) of a pass is one
-REPORTED_STD = 1.0  # m, of a position as it was reported
-
-
 def position_std(iterated: IterationResult) -> dict[Journey, float]:
     """Return the std of each journey's offset, m, by the slope of the alignment and the residuals; inf for none."""
     panel, solution = iterated.panel, iterated.solution
     slope = np.gradient(np.nan_to_num(solution.alignment), panel.grid.step)
-    weight = panel.grid.step / CORRELATED / max(iterated.noise, 1e-9) ** 2
+    weight = panel.grid.step / TRACK.correlated_length / max(iterated.noise, 1e-9) ** 2
     information = {
         journey: weight * sum(float(np.sum(slope[item.used_points] ** 2)) for item in one.passes if not item.empty)
         for journey, one in iterated.placed.items()
@@ -250,7 +243,7 @@ def shrunk(iterated: IterationResult) -> Mapping[Journey, Correction]:
     """Return the corrections of journeys, each as far as it is better known than the reported position."""
     found = {}
     for journey, std in position_std(iterated).items():
-        share = REPORTED_STD**2 / (REPORTED_STD**2 + std**2)
+        share = TRACK.reported_position_std**2 / (TRACK.reported_position_std**2 + std**2)
         one = iterated.corrections[journey]
         found[journey] = replace(one, offset=share * one.offset, scale=share * one.scale)
     return found

@@ -16,7 +16,6 @@ from estimation.track.iteration import Grouped, IterationResult, iterate, with_s
 from estimation.track.panel.basis import MeasuredCurve, Panel, pass_residual
 from estimation.track.panel.instrumental_slope import error_of_difference
 from estimation.track.panel.solution import (
-    LEAST_WHEELSETS,
     SINGLE_WHEELSET,
     PanelSolution,
     PriorAlignment,
@@ -24,6 +23,7 @@ from estimation.track.panel.solution import (
     prior_on_grid,
     too_few_passes,
 )
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Journey, Pass, ProfileLife, journeys
 from estimation.track.results import AlignmentReport, JourneyReport, merged_alignment, nothing
 from estimation.track.settings import SectionParameters
@@ -31,11 +31,6 @@ from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.track import Correction, Iterated, TrackAlignment, evidence_of_measurement, evidence_of_version
-
-USUAL_FACTOR = 1.5  # times the median of the wheelsets
-LEAST_USUAL = 0.12e-3  # m
-POWER = 4
-LARGEST_EFFECTIVE_WEIGHT = 0.25  # weight of the one that is furthest off, above which nothing would change
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,9 +44,9 @@ class Residuals:
     def weights(self) -> dict[ProfileLife, float]:
         """Return by profile life how much a pass counts where it is far off; empty where that would not matter."""
         known = [value for value in self.of_lives.values() if np.isfinite(value)]
-        usual = max(USUAL_FACTOR * float(np.median(known)), LEAST_USUAL) if known else np.inf
-        found = {life: (usual / value) ** POWER for life, value in self.of_lives.items() if value > usual}
-        return found if any(weight < LARGEST_EFFECTIVE_WEIGHT for weight in found.values()) else {}
+        usual = max(TRACK.usual_std_factor * float(np.median(known)), TRACK.least_usual_std) if known else np.inf
+        found = {life: (usual / value) ** TRACK.weight_power for life, value in self.of_lives.items() if value > usual}
+        return found if any(weight < TRACK.largest_effective_weight for weight in found.values()) else {}
 
 
 def residuals(iterated: IterationResult) -> Residuals:
@@ -74,10 +69,6 @@ def residuals(iterated: IterationResult) -> Residuals:
         usual[journey] = parts[(len(parts) - 1) // 2] if parts else float("nan")
     lives = {item.life: rms[item.life] for item in iterated.passes}
     return Residuals({journey: rms[journey] for journey in iterated.placed}, lives, usual)
-
-
-MOST_DIFFERENCE_ERROR = 0.08  # of rL - rR, by the stiffness ratio: beyond, its stiffness term is as assumed
-MOST_SLOPE_STD = 0.4  # of the curves of all wheelsets together: beyond, nothing is known of them
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +136,7 @@ def _too_few_passes(grouped: Grouped, panel: Panel) -> Reason | None:
         first, last = (int(np.clip(at / grid.step, 0, grid.points)) for at in (item.at[0], item.at[-1]))
         passed[first:last] += 1
         lives.add(item.life)
-    if len(lives) < LEAST_WHEELSETS and not lives & panel.measured.keys():
+    if len(lives) < panel.parameters.least_wheelsets and not lives & panel.measured.keys():
         return SINGLE_WHEELSET
     most = int(passed.max(initial=0))
     return None if most >= least else too_few_passes(least, most)
@@ -257,11 +248,11 @@ def _state_of(
 def _left_open(iterated: IterationResult, p: SectionParameters) -> Reason | None:
     """Return what is not found well enough: a stiffness ratio that most of R depends on, or the slope of all curves."""
     error = error_of_difference(iterated.ratios, iterated.passes)
-    if not (iterated.solution.curves_fixed or error <= MOST_DIFFERENCE_ERROR):
+    if not (iterated.solution.curves_fixed or error <= p.most_difference_error):
         text = f"the passes leave the stiffness ratio open: {100 * error:.0f} % of rL - rR depend on what is assumed"
         return Reason(ReasonCode.STIFFNESS_OPEN, text)
     moving = _not_converged_reason(iterated, p)
-    if moving is not None or iterated.slope is None or iterated.slope.std <= MOST_SLOPE_STD:
+    if moving is not None or iterated.slope is None or iterated.slope.std <= p.most_slope_std:
         return moving
     text = f"the passes are too alike: they leave the slope of all curves open by {100 * iterated.slope.std:.0f} %"
     return Reason(ReasonCode.PASSES_ALIKE, text)

@@ -9,6 +9,7 @@ import numpy as np
 
 from estimation.track.iteration import IterationParameters
 from estimation.track.panel.basis import PanelParameters
+from estimation.track.parameters import TRACK
 from estimation.track.passes import PartitionParameters, PositionParameters
 from estimation.track.screening.agreement import ScreeningParameters
 from estimation.values.arrays import FloatArray
@@ -29,6 +30,18 @@ class SectionParameters:
     cutoff_wavelength: float = 120.0  # m, longest wavelength that the alignment holds
     outlier_factor: float = 2.0  # times the median residual of the other journeys
     least_outlier_m: float = 0.4e-3  # m
+    most_difference_error: float = 0.08  # of rL - rR, by the stiffness ratio: beyond, its stiffness term is as assumed
+    most_slope_std: float = 0.4  # of the curves of all wheelsets together: beyond, nothing is known of them
+    sensor_residual_rms: float = 0.07e-3  # m, rms of y - d - h(R) that sensors and small terms of the equations make
+    gauge_effect: float = 0.1  # m by which a metre of gauge moves wheelsets of widely different wear apart
+    open_slope_std: float = 10.0  # relative std of the curves: nothing is known of them, and numbers stay finite
+    wide_std_ratio: float = 0.5  # std of R between the passes of a place over the std of R
+    shortest_wavelength: float = 2.5  # m, of the last one
+    filed_samples: float = 6.0  # independent ones that the std on file counts as, against those of the passes
+    local_length: float = 100.0  # m over which both are compared for local differences
+    local_stds: float = 4.0  # of a local mean square, beyond which it is more than chance
+    curve_share_factor: float = 2.0  # of the rms of h(R) times the share that curves leave of y, by which they are flat
+    survey_error_length: float = 5.0  # m along the track, of errors of a survey
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +64,11 @@ class AlignmentSettings:
     same_ratio: float = 0.02  # of a vehicle's stiffness ratio, or twice its std where that is more
     same_gauge: float = 0.3e-3  # m, rms: much less than moves a wheel to another part of its profile
     same_shift: float = 0.15  # of the gauge's std, rms: by which the shift of a wheelset may differ
+    same_survey_std: float = 1.5  # factor by which the std of a survey may be off without the passes being solved again
+    usual_radius_difference: float = 1e-3  # m of rL - rR, both ways: further out few passes are
 
 
-SAME_GAUGE = 0.8  # correlation of two estimates of one gauge
 SMALLEST = float(np.finfo(np.float64).tiny)  # in place of a power of zero
-OFTEN = 1e-3  # m of rL - rR, both ways: further out few passes are
 
 
 def requires_reestimation(old: TrackAlignment, new: TrackAlignment, settings: AlignmentSettings) -> bool:
@@ -133,11 +146,12 @@ def gauge_shift_changed(old: TrackAlignment, new: TrackAlignment, settings: Alig
         return False
     size = float(np.std(new.gauge_deviation))
     before, after = old.findings.gauge_shifts, new.findings.gauge_shifts
-    return any(_apart(before[one], after[one], size) > settings.same_shift * size for one in before.keys() & after)
+    most = settings.same_shift * size
+    return any(_apart(before[one], after[one], size, settings) > most for one in before.keys() & after)
 
 
-def _apart(first: GaugeShift, second: GaugeShift, size: float) -> float:
-    R, e = OFTEN * np.linspace(-1.0, 1.0, 41), np.array([-size, size])
+def _apart(first: GaugeShift, second: GaugeShift, size: float, settings: AlignmentSettings) -> float:
+    R, e = settings.usual_radius_difference * np.linspace(-1.0, 1.0, 41), np.array([-size, size])
     return float(np.sqrt(np.mean((first.over(R, e) - second.over(R, e)) ** 2)))
 
 
@@ -150,7 +164,9 @@ def carry_over_findings(found: TrackAlignment, before: TrackAlignment | None) ->
     old, new = before.findings, found.findings
     shifts, was, now = dict(new.gauge_shifts), before.gauge_deviation, found.gauge_deviation
     powers = float(was @ was) * float(now @ now)
-    if shifts and powers > 0.0 and float(was @ now) > SAME_GAUGE * np.sqrt(powers):  # one gauge, sign and all
+    if (
+        shifts and powers > 0.0 and float(was @ now) > TRACK.same_gauge_correlation * np.sqrt(powers)
+    ):  # one gauge, sign and all
         shifts = {**old.gauge_shifts, **shifts}
     missed = old.stiffness_ratio.keys() - new.stiffness_ratio.keys()
     std = max(new.stiffness_ratio_std, old.stiffness_ratio_std) if missed else new.stiffness_ratio_std

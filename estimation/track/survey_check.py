@@ -15,10 +15,11 @@ import numpy as np
 from scipy import fft
 
 from estimation.filters import high_pass, local_cubic_kernel, valid_support
-from estimation.track.gauge.wheel_functions import LEAST_GAUGE, contact_samples, gauge_factor_with_std
+from estimation.track.gauge.wheel_functions import WHEELS, contact_samples, gauge_factor_with_std
 from estimation.track.iteration import IterationResult
+from estimation.track.parameters import TRACK
 from estimation.track.positions import peak_position
-from estimation.track.results import GAUGE_EFFECT
+from estimation.track.settings import SectionParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import log10_chance
 from estimation.values.reasons import Reason, ReasonCode, combined
@@ -38,10 +39,6 @@ UNITS = {
     1 / 0.3048: "feet were taken for metres",
     0.3048: "metres were taken for feet",
 }
-SAME_UNIT = 1.12  # a factor this near to that of a unit is that unit
-MEMORY = 60.0  # m: correlation length of a high-passed alignment
-WORTH_SHARE = 0.5  # of what is wrong with a survey that a fleet's alignment may be off by to replace it
-WORTH_STD = 0.3e-3  # m, that it may be off by at most
 NOT_ASSESSABLE = Reason(ReasonCode.SURVEY_NOT_ASSESSABLE, "the fleet does not know enough of the section")
 
 
@@ -54,6 +51,7 @@ class SurveyCheckParameters:
     least_samples: float = 20.0  # independent ones, below which the survey is not assessed
     most_factor: float = 1.25  # and its inverse the least, besides what the fleet leaves open
     largest_shift: float = 3.0  # m, besides the uncertainty of the fleet's place
+    same_unit: float = 1.12  # a factor this near to that of a unit is that unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,14 +111,14 @@ def worth_more(fleet: TrackAlignment, survey: TrackAlignment) -> bool:
     compared = (r != 0.0) & (f != 0.0)
     wrong = float(np.sqrt(np.mean((f - r)[compared] ** 2))) if compared.any() else 0.0
     std = float(np.nanmedian(fleet.alignment_std))
-    return std < WORTH_STD and std < WORTH_SHARE * wrong
+    return std < TRACK.worthwhile_std and std < TRACK.worthwhile_share * wrong
 
 
 def _misplaced(found: SurveyCheck, open_scale: float, place_known: float, p: SurveyCheckParameters) -> list[Reason]:
     """Return what is wrong with unit, sides and place, beyond a factor and a shift, m, that the fleet leaves open."""
     reasons = []
     if not 1.0 / (p.most_factor * open_scale) <= found.scale <= p.most_factor * open_scale:
-        reasons.append(Reason(ReasonCode.SURVEY_UNIT, _unit(found.scale)))
+        reasons.append(Reason(ReasonCode.SURVEY_UNIT, _unit(found.scale, p)))
     if found.sign < 0:
         text = "left and right are exchanged: it is the mirror image of what the fleet has measured"
         reasons.append(Reason(ReasonCode.SURVEY_MIRRORED, text))
@@ -132,10 +130,10 @@ def _misplaced(found: SurveyCheck, open_scale: float, place_known: float, p: Sur
     return reasons
 
 
-def _unit(scale: float) -> str:
+def _unit(scale: float, limits: SurveyCheckParameters) -> str:
     near = min(UNITS, key=lambda factor: abs(np.log(scale / factor)))
     text = f"it is {scale:.3g} times what the fleet has measured"
-    return f"{text}: {UNITS[near]}" if abs(np.log(scale / near)) < np.log(SAME_UNIT) else text
+    return f"{text}: {UNITS[near]}" if abs(np.log(scale / near)) < np.log(limits.same_unit) else text
 
 
 def _on_one_grid(
@@ -153,7 +151,7 @@ def _on_one_grid(
         inside = valid_support(inside, weights)
         r = high_pass(r, weights)
     seen = inside & np.isfinite(fleet.alignment) & np.isfinite(fleet.alignment_std)
-    if np.count_nonzero(seen) * step < 2.0 * MEMORY:
+    if np.count_nonzero(seen) * step < 2.0 * TRACK.correlation_length:
         return None
     std = np.interp(fleet.s, recorded.s, np.nan_to_num(recorded.alignment_std))
     variance = std**2 + np.where(seen, np.nan_to_num(fleet.alignment_std), 0.0) ** 2
@@ -178,7 +176,7 @@ def _by_lag(r: FloatArray, f: FloatArray, weight: FloatArray, reach: int) -> tup
 
 def _memory(r: FloatArray, f: FloatArray, step: float) -> float:
     """Return over how many m one independent sample of the product reaches (Bartlett)."""
-    far = min(int(MEMORY / step), len(r) - 1)
+    far = min(int(TRACK.correlation_length / step), len(r) - 1)
     size = fft.next_fast_len(len(r) + far, real=True)
     own = [fft.irfft(np.abs(fft.rfft(signal, size)) ** 2, size)[: far + 1] for signal in (r, f)]
     first, second = (values / max(float(values[0]), 1e-300) for values in own)
@@ -196,16 +194,18 @@ class GaugeLimits:
     stds: float = 3.0  # that count as beyond doubt
 
 
-def judge_gauge(iterated: IterationResult | None, survey: TrackAlignment, *, converged: bool) -> Reason | None:
+def judge_gauge(
+    iterated: IterationResult | None, survey: TrackAlignment, *, converged: bool, parameters: SectionParameters
+) -> Reason | None:
     """Return what is wrong with a surveyed gauge; None where nothing is, or what passes show is not certain yet."""
     p = GaugeLimits()
     size = float(np.std(survey.gauge_deviation))
     if iterated is None or iterated.panel.gauge is None or not (converged and survey.gauge_known):
         return None
     before, after = iterated.noise_without_gauge, iterated.noise
-    if size < LEAST_GAUGE or before < p.visible:
+    if size < WHEELS.least_gauge_std or before < p.visible:
         return None
-    expected = min((GAUGE_EFFECT * size / before) ** 2, 1.0)
+    expected = min((parameters.gauge_effect * size / before) ** 2, 1.0)
     if expected < p.least_expected:
         return None
     if 1.0 - (after / before) ** 2 < p.least_explained * expected:

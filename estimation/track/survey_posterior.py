@@ -22,19 +22,11 @@ from estimation.track.iteration import IterationResult
 from estimation.track.panel.basis import Panel, unfiltered_residual
 from estimation.track.panel.instrumental_slope import error_of_difference
 from estimation.track.panel.solution import PanelSolution
+from estimation.track.parameters import TRACK
 from estimation.track.results import findings, position_std
-from estimation.track.section import MOST_DIFFERENCE_ERROR
 from estimation.track.settings import SectionParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import TrackAlignment
-
-EDGES = (120.0, 60.0, 30.0, 15.0, 7.5, 4.0)  # m, longest wavelength of each band
-SHORTEST = 2.5  # m, of the last one
-FILED_SAMPLES = 6.0  # independent ones that the std on file counts as, against those of the passes
-LOCAL = 100.0  # m over which both are compared for local differences
-LOCAL_STDS = 4.0  # of a local mean square, beyond which it is more than chance
-MODEL_SHARE = 2.0  # of the rms of h(R) times the share that curves leave of y, by which they are flattened for all
-NEIGHBOUR, NEXT = 0.48, 0.06  # correlation of one error in two bands next to each other, with one band between
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,26 +83,28 @@ class SurveyBands:
 
     def up_to(self, longest: float) -> tuple[Band, ...]:
         """Return the bands of wavelengths up to ``longest`` m."""
-        return tuple(band for band, edge in zip(self.bands, EDGES, strict=True) if edge <= longest)
+        return tuple(band for band, edge in zip(self.bands, TRACK.band_edges, strict=True) if edge <= longest)
 
 
-def survey_bands(iterated: IterationResult, survey: TrackAlignment, systematic: float) -> SurveyBands | None:
+def survey_bands(
+    iterated: IterationResult, survey: TrackAlignment, systematic: float, parameters: SectionParameters
+) -> SurveyBands | None:
     """Return what a survey and the passes on it say by band; None where they do not meet. ``systematic``: std, m."""
     grid = iterated.panel.grid
     on_grid, std, known = survey_on_grid(survey, grid)
-    kernels = [local_cubic_kernel(edge, grid.step) for edge in EDGES]
+    kernels = [local_cubic_kernel(edge, grid.step) for edge in TRACK.band_edges]
     passes = _passes(iterated.placed, iterated.solution, iterated.panel, kernels)
     inside = np.stack([valid_support(known, kernel) for kernel in kernels])
     compared = inside & (passes.journeys > 0)
-    if np.count_nonzero(compared[0]) * grid.step < 2.0 * LOCAL:
+    if np.count_nonzero(compared[0]) * grid.step < 2.0 * parameters.local_length:
         return None
     filtered = _bands_of(on_grid, kernels)
     filed = float(np.sqrt(np.mean(std[known] ** 2)))
     unexplained = 1.0 if iterated.slope is None else 1.0 - iterated.slope.explained
     size = np.array([np.sqrt(np.mean(h[where] ** 2)) for h, where in zip(passes.curves, compared, strict=True)])
-    common = np.hypot(systematic / np.sqrt(len(EDGES)), MODEL_SHARE * unexplained * size)
+    common = np.hypot(systematic / np.sqrt(len(TRACK.band_edges)), parameters.curve_share_factor * unexplained * size)
     bands = [
-        _band(number, d, passes, compared[number], filed, float(common[number]), grid.step)
+        _band(number, d, passes, compared[number], filed, float(common[number]), grid.step, parameters)
         for number, d in enumerate(filtered)
     ]
     whole = passes.curves.sum(axis=0)[compared[0]]
@@ -177,10 +171,17 @@ def _passes(placed: Placed, solution: PanelSolution, panel: Panel, kernels: Sequ
 
 
 def _band(
-    number: int, survey: FloatArray, passes: _Passes, compared: BoolArray, filed: float, systematic: float, step: float
+    number: int,
+    survey: FloatArray,
+    passes: _Passes,
+    compared: BoolArray,
+    filed: float,
+    systematic: float,
+    step: float,
+    parameters: SectionParameters,
 ) -> Band:
-    shortest = (*EDGES, SHORTEST)[number + 1]
-    length = 0.5 * np.sqrt(EDGES[number] * shortest)  # m, of an independent sample
+    shortest = (*TRACK.band_edges, parameters.shortest_wavelength)[number + 1]
+    length = 0.5 * np.sqrt(TRACK.band_edges[number] * shortest)  # m, of an independent sample
     independent = max(np.count_nonzero(compared) * step / length, 1.0)
     rest = np.where(compared, survey - passes.mean[number], 0.0)
     fit, coherent, left = _coherent(rest, passes, number, compared, independent)
@@ -189,12 +190,13 @@ def _band(
     noise = np.full(len(survey), np.inf)
     noise[compared] = passes.variance[number] / passes.journeys[number, compared]
     # errors on file are white down to the shortest wavelength
-    of_file = filed**2 * ((1.0 / shortest - 1.0 / EDGES[number]) / (1.0 / SHORTEST - 1.0 / EDGES[0]))
+    longest, last = TRACK.band_edges, parameters.shortest_wavelength
+    of_file = filed**2 * ((1.0 / shortest - 1.0 / longest[number]) / (1.0 / last - 1.0 / longest[0]))
     if not np.isfinite(passes.variance[number]):
         noise[compared] = square + of_file
     noise += systematic**2
-    learnt = _learnt(square, float(np.mean(noise[compared])), systematic, of_file, independent)
-    excess = _local_excess(rest, compared, square, length, step)
+    learnt = _learnt(square, float(np.mean(noise[compared])), systematic, of_file, independent, parameters)
+    excess = _local_excess(rest, compared, square, length, step, parameters)
     return Band(
         survey=survey,
         passes=np.where(compared, passes.mean[number] + fit, 0.0),
@@ -204,14 +206,21 @@ def _band(
     )
 
 
-def _learnt(square: float, of_passes: float, systematic: float, of_file: float, independent: float) -> float:
+def _learnt(
+    square: float,
+    of_passes: float,
+    systematic: float,
+    of_file: float,
+    independent: float,
+    parameters: SectionParameters,
+) -> float:
     """Return the variance, m2, of a survey in a band: what passes leave of their difference, and what is on file."""
     # where errors that all passes may have in common explain the difference, the passes say nothing but that it is all
     known = square - of_passes
     trust = (known / (known + systematic**2)) ** 2 if known > 0.0 else 0.0
     samples = trust * independent
     filed = min(of_file, square)
-    return (samples * max(known, 0.0) + FILED_SAMPLES * filed) / (samples + FILED_SAMPLES)
+    return (samples * max(known, 0.0) + parameters.filed_samples * filed) / (samples + parameters.filed_samples)
 
 
 def _coherent(
@@ -233,12 +242,14 @@ def _coherent(
     return np.where(compared, share * fit, 0.0), float(np.sqrt(share * explained)), share * by_chance
 
 
-def _local_excess(rest: FloatArray, compared: BoolArray, square: float, length: float, step: float) -> FloatArray:
+def _local_excess(
+    rest: FloatArray, compared: BoolArray, square: float, length: float, step: float, parameters: SectionParameters
+) -> FloatArray:
     """Return by how much (n,), m2, both differ more than elsewhere, where that is more than chance."""
-    width = max(round(LOCAL / step), 1)
+    width = max(round(parameters.local_length / step), 1)
     weight = uniform_filter1d(compared.astype(np.float64), width, mode="constant")
     local = uniform_filter1d(rest**2, width, mode="constant") / np.maximum(weight, 1e-9)
-    chance = LOCAL_STDS * np.sqrt(2.0 * length / LOCAL)
+    chance = parameters.local_stds * np.sqrt(2.0 * length / parameters.local_length)
     return np.where(compared & (local > (1.0 + chance) * square), local - square, 0.0)
 
 
@@ -247,12 +258,13 @@ def total_variance(variances: Sequence[FloatArray]) -> FloatArray:
     stds = np.sqrt(np.stack(variances))
     count = len(stds)
     apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
-    correlation = np.select([apart == 0, apart == 1, apart == 2], [1.0, NEIGHBOUR, NEXT], 0.0)  # noqa: PLR2004
+    of_distance = np.zeros(max(count, 3))
+    of_distance[:3] = 1.0, TRACK.neighbour_correlation, TRACK.second_neighbour_correlation
+    correlation = of_distance[apart]
     return np.asarray(np.einsum("in,ij,jn->n", stds, correlation, stds))
 
 
-STATED = EDGES[1]  # m, longest wavelength of the published std: longer ones are not in the motion
-INDEPENDENT = 5.0  # m along the track, of errors of a survey
+STATED = TRACK.band_edges[1]  # m, longest wavelength of the published std: longer ones are not in the motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,7 +294,7 @@ def survey_posterior(
     """Return what a survey, with the std on file, and the passes on it give together; None where they do not meet."""
     grid, p = iterated.panel.grid, parameters
     of_gauge = p.systematic_per_gauge[0] * float(np.std(survey.gauge_deviation))
-    bands = survey_bands(iterated, survey, float(np.hypot(p.systematic, of_gauge)))
+    bands = survey_bands(iterated, survey, float(np.hypot(p.systematic, of_gauge)), parameters)
     if bands is None:
         return None
     on_grid, filed, known = survey_on_grid(survey, grid)
@@ -304,7 +316,7 @@ def survey_posterior(
     positions = [one for one in position_std(iterated).values() if np.isfinite(one)]
     of_positions = np.abs(np.gradient(d, grid.step)) * (float(np.median(positions)) if positions else 0.0)
     std = np.hypot(bands.posterior_std(STATED), of_positions)
-    ratios_known = error_of_difference(iterated.ratios, iterated.passes) <= MOST_DIFFERENCE_ERROR
+    ratios_known = error_of_difference(iterated.ratios, iterated.passes) <= parameters.most_difference_error
     found = replace(
         before,
         version=0,
@@ -322,7 +334,7 @@ def _scale_std(bands: SurveyBands, iterated: IterationResult, survey: TrackAlign
     # the survey, an alignment without their errors, fixes that scale as well as its own errors average out
     slope_std = 0.0 if iterated.slope is None else iterated.slope.std
     of_passes = float(np.hypot(p.scale_error, slope_std))
-    independent = max(np.count_nonzero(bands.compared) * iterated.panel.grid.step / INDEPENDENT, 1.0)
+    independent = max(np.count_nonzero(bands.compared) * iterated.panel.grid.step / p.survey_error_length, 1.0)
     of_survey = bands.survey_std / max(bands.curves, 1e-9) / np.sqrt(independent)
     both = of_passes * of_survey / float(np.hypot(of_passes, of_survey))
     weights = np.array([np.mean(one.passes[bands.compared] ** 2) for one in bands.bands])

@@ -18,14 +18,12 @@ from scipy import linalg
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.basis import PanelState, groups_of, init, update
 from estimation.track.panel.solution import PriorAlignment, curves_of_sum, prior_of_curves
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Journey
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.quantities import jackknife_std
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.track import Correction
-
-FEWEST_GROUPS = 4  # of blocks along the section
-MOST_ERROR_SHARE = 0.97  # of a survey's mean square that its own error may make up
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +42,7 @@ class SurveyFit:
     def scale(self) -> float:
         """Survey over truth: an error of the survey makes the factor too small, which is taken back."""
         own = max(self.error**2 - self.coherent**2, 0.0)
-        share = min(own / self.size**2, MOST_ERROR_SHARE) if self.size > 0.0 else 0.0
+        share = min(own / self.size**2, TRACK.most_survey_error_share) if self.size > 0.0 else 0.0
         return (1.0 - share) / self.factor if self.factor != 0.0 else float("inf")
 
 
@@ -59,7 +57,7 @@ def fit_survey(iterated: IterationResult, survey: PriorAlignment) -> SurveyFit |
         state = update(init(iterated.panel), kept)
     sums = _Sums.of(state, survey.alignment)
     present = np.flatnonzero(sums.square > 0.0)
-    if len(present) < FEWEST_GROUPS:
+    if len(present) < TRACK.fewest_blocks:
         return None
     factor, explained, followed = sums.fit(present)
     if not np.isfinite(factor):

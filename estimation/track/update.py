@@ -11,9 +11,10 @@ from enum import StrEnum
 
 import numpy as np
 
-from estimation.track.gauge.wheel_functions import LEAST_GAUGE
+from estimation.track.gauge.wheel_functions import WHEELS
 from estimation.track.panel.basis import MeasuredCurve
 from estimation.track.panel.solution import prior_on_grid
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Pass, PassOutcome, PassStatus, ProfileLife
 from estimation.track.results import shrunk
 from estimation.track.screening.screen import Screened, screen
@@ -44,8 +45,6 @@ from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectio
 
 NOT_USED = "not used: "
 GAUGE_NOT_USED = "its gauge is not used: "
-SHARPER = 0.8  # of the std of a file, below which the mean of it and its first passes is used in its place
-SAME_STD = 1.5  # factor by which the std of a survey may be off without the passes being solved again
 
 
 class UpdateOutcome(StrEnum):
@@ -138,7 +137,7 @@ class _Epoch:
         """Return what the passes and a survey give, the survey with the std that the passes show of it."""
         found = self._weighed(survey, survey)
         factor = 1.0 if found.posterior is None else found.posterior.std_factor
-        if not 1.0 / SAME_STD <= factor <= SAME_STD:
+        if not 1.0 / self.settings.same_survey_std <= factor <= self.settings.same_survey_std:
             again = self._weighed(replace(survey, alignment_std=factor * survey.alignment_std), survey)
             # held less by the survey, the journeys of a wheelset alone may come to rest at another wave of the track
             before, after = (one.estimate.iterated for one in (found, again))
@@ -177,7 +176,8 @@ class _Epoch:
 
     def judge_gauge(self, estimate: SectionEstimate, survey: TrackAlignment) -> Reason | None:
         """Return what is wrong with a surveyed gauge; None where nothing is, or nothing has been decided yet."""
-        found = judge_gauge(estimate.iterated, survey, converged=estimate.report.converged)
+        converged, section = estimate.report.converged, self.settings.section
+        found = judge_gauge(estimate.iterated, survey, converged=converged, parameters=section)
         return None if found is None else prefixed(GAUGE_NOT_USED, found)
 
     def update(
@@ -250,7 +250,7 @@ def _extended(
         std, std_now = (float(np.nanmedian(one.alignment_std)) for one in (posterior.before, found))
         first = not posterior.before.passes.any()
         if (
-            (first and std > settings.same_least and std_now < SHARPER * std)
+            (first and std > settings.same_least and std_now < TRACK.sharper_std_share * std)
             or requires_reestimation(posterior.before, in_motion, settings)
             or posterior.before.scale_std < settings.same_std * doubted
         ):
@@ -333,7 +333,7 @@ def _with_gauge_shifts(
     kept: AlignmentUpdate, survey: TrackAlignment, vehicles: Mapping[str, str], settings: AlignmentSettings
 ) -> AlignmentUpdate:
     found = kept.estimate.alignment
-    varies = survey.gauge_known and float(np.std(survey.gauge_deviation)) >= LEAST_GAUGE
+    varies = survey.gauge_known and float(np.std(survey.gauge_deviation)) >= WHEELS.least_gauge_std
     if not varies or not kept.estimate.report.converged:
         return kept
     if found is None or found.findings is None or not found.findings.gauge_shifts:

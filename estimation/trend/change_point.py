@@ -20,27 +20,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
+from estimation.trend.parameters import CURVES
 from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.units import DAY_NS, STD_PER_MAD
 
-DAY_NS = 86_400e9
-BEFORE, BEHIND = 16, 12  # points about a place that decide whether there is a step
-AROUND = 2  # places before and behind the likeliest that share its probability
-BESIDE = 5  # points of which a median shows where a step may be
-SMALLEST_RUN_KM = 1.0  # between points, of which a slope is made
-MOST_WEAR = 3.0  # standard deviations off the usual slope: among few points noise passes for more
-PLACES = 4  # that are looked at, those of the largest changes
-NOISE_SHARES = np.geomspace(0.02, 3.0, 9)  # of the stated standard deviations
-USUAL_SHARE, SHARE_SPREAD = 0.15, 0.8  # of the prior, as a median and a standard deviation of the logarithm
-LEVEL_STD = 10.0  # of the level, in standard deviations of a step: as good as flat
-SURELY_OUT = 5.0  # median deviations from a running median with which a point begins as an outlier
-MAD_STD = 1.4826
-MOST_FLIPS = 12
-LEAST_GAIN = 1e-9  # of log evidence: rounding never flips an outlier to and fro
-FAR_FROM = 7.0  # log odds of a step at a place, below which its neighbours are not looked at
-AS_LIKELY = 1.0  # of the log odds: places that differ by less
-MIXED, MIXED_STD = 0.5, 0.25  # of a step, in an interval in which it happened: mean and standard deviation
-APART = 0.25  # of a step, by which an outlier differs from the level on the other side, so that it is not of it
-WORTH_A_LOOK = 1.0  # of a median change over the least size, below which no hypothesis is computed
+NOISE_SHARES = np.geomspace(*CURVES.noise_shares, CURVES.noise_points)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +48,25 @@ class StepModel:
     least_points: int = 3  # on either side of it
     least_good: int = 2  # of them that are no outliers
     widest: int = 2  # intervals between the points on either side: one may be of both
+    points_before: int = 16  # points about a place that decide whether there is a step
+    points_behind: int = 12
+    places_around: int = 2  # places before and behind the likeliest that share its probability
+    points_beside: int = 5  # points of which a median shows where a step may be
+    smallest_run_km: float = 1.0  # between points, of which a slope is made
+    most_wear: float = 3.0  # standard deviations off the usual slope: among few points noise passes for more
+    most_places: int = 4  # that are looked at, those of the largest changes
+    usual_noise_share: float = 0.15  # of the prior, as a median and a standard deviation of the logarithm
+    noise_spread: float = 0.8
+    level_std: float = 10.0  # of the level, in standard deviations of a step: as good as flat
+    outlier_deviations: float = 5.0  # median deviations from a running median with which a point begins as an outlier
+    most_flips: int = 12
+    least_gain: float = 1e-9  # of log evidence: rounding never flips an outlier to and fro
+    far_log_odds: float = 7.0  # log odds of a step at a place, below which its neighbours are not looked at
+    alike_log_odds: float = 1.0  # of the log odds: places that differ by less
+    mixed_share: float = 0.5  # of a step, in an interval in which it happened: mean and standard deviation
+    mixed_share_std: float = 0.25
+    outlier_share: float = 0.25  # of a step, between an outlier and the level on the other side
+    least_change_ratio: float = 1.0  # of a median change over the least size, below which no hypothesis is computed
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,20 +116,20 @@ def _places(series: Series, model: StepModel) -> list[int]:
     change = np.array([_median_change(series, int(one), model) for one in at])
     size = np.concatenate([[0.0], np.abs(change), [0.0]])
     peak = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])
-    peak &= np.abs(change) > WORTH_A_LOOK * model.least_size
+    peak &= np.abs(change) > model.least_change_ratio * model.least_size
     order = np.argsort(-np.abs(change[peak]), kind="stable")
-    return [int(one) for one in at[peak][order][:PLACES]]
+    return [int(one) for one in at[peak][order][: model.most_places]]
 
 
 def _median_change(series: Series, at: int, model: StepModel) -> float:
-    about = series.part(max(0, at - BEHIND), at + BEHIND)
-    run = np.maximum(np.diff(about.x_km), SMALLEST_RUN_KM)
-    usual, least = MOST_WEAR * model.slope_std, model.least_points
+    about = series.part(max(0, at - model.points_behind), at + model.points_behind)
+    run = np.maximum(np.diff(about.x_km), model.smallest_run_km)
+    usual, least = model.most_wear * model.slope_std, model.least_points
     wear = min(max(_median((np.diff(about.value) / run).tolist()), model.slope - usual), model.slope + usual)
-    flat = series.part(max(0, at - BESIDE), at + BESIDE)
-    level, here = (flat.value - wear * (flat.x_km - series.x_km[at])).tolist(), min(at, BESIDE)
-    changes = [_median(level[here : here + n]) - _median(level[max(0, here - n) : here]) for n in (least, BESIDE)]
-    return min(changes, key=abs)
+    flat = series.part(max(0, at - model.points_beside), at + model.points_beside)
+    level, here = (flat.value - wear * (flat.x_km - series.x_km[at])).tolist(), min(at, model.points_beside)
+    counts = least, model.points_beside
+    return min((_median(level[here : here + n]) - _median(level[max(0, here - n) : here]) for n in counts), key=abs)
 
 
 def _median(values: list[float]) -> float:
@@ -137,14 +140,14 @@ def _median(values: list[float]) -> float:
 
 def _judged(series: Series, place: int, model: StepModel) -> ChangePoint | None:
     k, least = len(series.value), model.least_points
-    first = max(0, place - BEFORE)
-    window = series.part(first, min(k, place + BEHIND))
+    first = max(0, place - model.points_before)
+    window = series.part(first, min(k, place + model.points_behind))
     points = _Points.of(window, model)
     at = place - first
     nothing, here = points.evidence(None), points.evidence(_Place(at - 1, at))
-    if here.log_evidence + np.log(model.step_chance) < nothing.log_evidence - FAR_FROM:
+    if here.log_evidence + np.log(model.step_chance) < nothing.log_evidence - model.far_log_odds:
         return None
-    about = range(max(least, at - AROUND), min(len(window.value) - least, at + AROUND) + 1)
+    about = range(max(least, at - model.places_around), min(len(window.value) - least, at + model.places_around) + 1)
     places = [_Place(i - width, i) for i in about for width in range(1, model.widest + 1) if i - width >= least - 1]
     steps = [(at, one) for at in places if points.carry(at, one := points.evidence(at))]
     if not steps:
@@ -154,9 +157,11 @@ def _judged(series: Series, place: int, model: StepModel) -> ChangePoint | None:
     likeliest = steps[int(np.argmax(log_odds))][1]
     if min(probability, likeliest.probability_beyond(model.least_size)) < model.sure:
         return None
-    as_likely = [one for (one, _), odds in zip(steps, log_odds, strict=True) if odds >= log_odds.max() - AS_LIKELY]
+    as_likely = [
+        one for (one, _), odds in zip(steps, log_odds, strict=True) if odds >= log_odds.max() - model.alike_log_odds
+    ]
     last, behind = first + min(one.last for one in as_likely), first + max(one.first for one in as_likely)
-    level = float(np.median(series.value[max(0, last + 1 - BESIDE) : last + 1]))
+    level = float(np.median(series.value[max(0, last + 1 - model.points_beside) : last + 1]))
     return ChangePoint(last, behind, probability, likeliest.size, likeliest.std, last + 1, level)
 
 
@@ -200,7 +205,7 @@ class _Points:
         early, late = np.minimum.outer(x, x), np.maximum.outer(x, x)
         bend = model.bend_std**2 / model.bend_km * early**2 * (3.0 * late - early) / 6.0
         wander = model.wander_std**2 * np.exp(-np.abs(np.subtract.outer(days, days)) / model.wander_days)
-        level = (LEVEL_STD * model.step_std) ** 2
+        level = (model.level_std * model.step_std) ** 2
         covariance = level + model.slope_std**2 * np.outer(x, x) + bend + wander
         noise = np.outer(NOISE_SHARES**2, series.std**2) + model.noise_floor**2
         value = series.value - model.slope * x
@@ -212,10 +217,10 @@ class _Points:
         last, at = place or (len(number), len(number))
         step = 0.5 * ((number > last) * 1.0 + (number >= at))
         covariance = self.covariance + self.model.step_std**2 * np.outer(step, step)
-        covariance += (MIXED_STD * self.model.step_std) ** 2 * np.diag(step == MIXED)
+        covariance += (self.model.mixed_share_std * self.model.step_std) ** 2 * np.diag(step == self.model.mixed_share)
         out = self._begin(at)
         best = None
-        for _ in range(MOST_FLIPS):
+        for _ in range(self.model.most_flips):
             inverse, log_evidence = self._inverse(covariance, out)
             total = float(np.logaddexp.reduce(log_evidence))
             if best is None or total > best[0]:
@@ -237,18 +242,19 @@ class _Points:
         good = [~evidence.out[side] for side in sides]
         if min(one.sum() for one in good) < self.model.least_good:
             return False
-        before, behind = (
-            np.median(self.value[side][one][keep])
-            for side, one, keep in zip(sides, good, (slice(-BESIDE, None), slice(BESIDE)), strict=True)
-        )
-        off = APART * abs(evidence.size)
+        count = self.model.points_beside
+        nearest = zip(sides, good, (slice(-count, None), slice(count)), strict=True)
+        before, behind = (np.median(self.value[side][one][keep]) for side, one, keep in nearest)
+        off = self.model.outlier_share * abs(evidence.size)
         apart = [np.abs(self.value[side] - level) > off for side, level in zip(sides, (behind, before), strict=True)]
         return min(int((one | left).sum()) for one, left in zip(good, apart, strict=True)) >= self.model.least_points
 
     def _begin(self, at: int) -> BoolArray:
-        apart = np.concatenate([side - _running_median(side) for side in (self.value[:at], self.value[at:])])
-        scale = MAD_STD * np.median(np.abs(apart)) + self.model.noise_floor
-        return np.asarray(np.abs(apart) > SURELY_OUT * scale)
+        apart = np.concatenate(
+            [side - _running_median(side, self.model) for side in (self.value[:at], self.value[at:])]
+        )
+        scale = STD_PER_MAD * np.median(np.abs(apart)) + self.model.noise_floor
+        return np.asarray(np.abs(apart) > self.model.outlier_deviations * scale)
 
     def _variance(self, out: BoolArray) -> FloatArray:
         return self.noise + self.model.outlier_std**2 * out
@@ -261,7 +267,7 @@ class _Points:
         log_size = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         inverse = np.einsum("fki,fkj->fij", whitened, whitened)
         left = whitened @ self.value
-        prior = -0.5 * ((np.log(NOISE_SHARES) - np.log(USUAL_SHARE)) / SHARE_SPREAD) ** 2
+        prior = -0.5 * ((np.log(NOISE_SHARES) - np.log(self.model.usual_noise_share)) / self.model.noise_spread) ** 2
         prior -= np.logaddexp.reduce(prior)
         return inverse, prior + self._log_prior(out) - log_size - 0.5 * (left**2).sum(axis=1)
 
@@ -285,7 +291,7 @@ class _Points:
             changed[i] = not out[i]
             gain[i] += self._log_prior(changed) - prior
         best = int(np.argmax(gain))
-        if gain[best] <= LEAST_GAIN:
+        if gain[best] <= self.model.least_gain:
             return None
         changed = out.copy()
         changed[best] = not out[best]
@@ -296,7 +302,7 @@ def _log_normal(apart: FloatArray, variance: FloatArray) -> FloatArray:
     return np.asarray(-0.5 * (np.log(variance) + apart**2 / variance))
 
 
-def _running_median(value: FloatArray) -> FloatArray:
-    half = BESIDE // 2
-    n = len(value)
-    return np.array([np.median(value[max(0, i - half) : max(0, i - half) + BESIDE][-BESIDE:]) for i in range(n)])
+def _running_median(value: FloatArray, model: StepModel) -> FloatArray:
+    count = model.points_beside
+    first = (max(0, i - count // 2) for i in range(len(value)))
+    return np.array([np.median(value[begin : begin + count][-count:]) for begin in first])

@@ -22,33 +22,17 @@ from typing import Annotated
 
 import numpy as np
 
+from estimation.trend.parameters import CURVES
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.geometry import IntervalConicities, KnownConicity, WheelsetGeometry, known_conicities
+from estimation.values.memory import MEMORY
 from estimation.values.mixture import NormalMixture
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.trend import TrendPoint
 
-LIMIT_AMPLITUDE = 3e-3  # m, of every conicity limit (EN 15302, TSI)
-SAME_AMPLITUDE = 1e-6  # m
-LEAST_AMPLITUDE = 1.5e-3  # m, from which anything is extrapolated; from less, intervals of known pairs do not cover
-BELOW = (0.25e-3, 0.5e-3, 1.0e-3)  # m, from the largest amplitude covered to those that show how it rises
-ALIKE = 0.06  # relative difference of conicities that are alike
-LEAST_ALIKE = 0.012  # and the least difference that counts
-SLOPE_ALIKE = 0.7  # of that, for the difference between two amplitudes
-WIDER = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # times that, until enough members are alike
-SHARED = 0.5  # part of the errors that all amplitudes have in common
-NEAR = 0.5e-3  # m, within which the rest of them is alike
-RIDGE = 2.0  # members' weight with which the fit is held flat
-LEAST_MEMBERS = 25.0  # weight of members that are like the wheelset
-NO_WEIGHT = 1e-6  # of a member that does not count, which most are
-NEXT_AMPLITUDE = 0.25e-3  # m, to the amplitude that is not covered
-FLAT = 0.02  # conicity below which nothing holds a wheelset
-STOPPED = (0.3, 2.0)  # least and most weight by where the motion ends, of a conicity that stays as it is
-LARGEST_STD = 0.15  # of an extrapolated conicity
-SHOWN = 40  # values that show how the changes of members are spread
-SMOOTH = 0.2  # std about each of them, in that of all
-KEPT = 20_000  # extrapolations of intervals, which do not change
+LIMIT_AMPLITUDE = CURVES.limit_amplitude
+SAME_AMPLITUDE = CURVES.same_amplitude
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +52,7 @@ class Extrapolation:
     def mixture(self) -> NormalMixture:
         """Return the distribution, which is skewed: conicity rises steeply beyond, or stays as it is."""
         count, around = len(self.beyond), np.array(self.beyond)
-        rest = float(np.hypot(self.measured_std, SMOOTH * self.spread))
+        rest = float(np.hypot(self.measured_std, CURVES.smoothing_share * self.spread))
         return NormalMixture(np.full(count, 1.0 / count), self.value + around, np.full(count, rest))
 
 
@@ -116,14 +100,14 @@ def extrapolated(known: Sequence[KnownConicity], family: WornFamily | None = Non
     return _of_design_pairs(tuple(known)) if family is None else _extrapolated(tuple(known), family)
 
 
-@lru_cache(KEPT)
+@lru_cache(MEMORY.extrapolations)
 def _of_design_pairs(known: tuple[KnownConicity, ...]) -> Extrapolation | None:
     return _extrapolated(known, worn_family())
 
 
 def _extrapolated(known: tuple[KnownConicity, ...], family: WornFamily) -> Extrapolation | None:
     largest = known[-1]
-    if largest.amplitude < LEAST_AMPLITUDE - SAME_AMPLITUDE:
+    if largest.amplitude < CURVES.least_amplitude - SAME_AMPLITUDE:
         return None
     shown = [largest, *_below(known, family.amplitude[0])]
     if len(shown) == 1:
@@ -135,22 +119,24 @@ def _extrapolated(known: tuple[KnownConicity, ...], family: WornFamily) -> Extra
     error = (members - [one.value for one in shown]) @ steps.T
     covariance = steps @ _covariance(shown) @ steps.T
     # by how much level and slopes of a member may differ
-    alike = max(LEAST_ALIKE, ALIKE * largest.value) * np.array([1.0] + [SLOPE_ALIKE] * (len(shown) - 1))
+    alike = max(CURVES.least_alike_difference, CURVES.alike_share * largest.value) * np.array(
+        [1.0] + [CURVES.slope_alike_share] * (len(shown) - 1)
+    )
     weighed = _alike(error, covariance, alike, _stopped(family, largest.amplitude, members[:, 0]))
     if weighed is None:
         return None
     weight, width = weighed
-    counts = weight > NO_WEIGHT
+    counts = weight > CURVES.negligible_weight
     weight, change = weight[counts], (_at(family, LIMIT_AMPLITUDE) - members[:, 0])[counts]
     level, measured_std, left = _local_fit(error[counts], covariance, width, weight, change)
     spread = float(np.sqrt(weight @ left**2 / weight.sum()))
     result = Extrapolation(largest.value + level, measured_std, spread, _quantiles(left, weight))
-    return result if result.std <= LARGEST_STD and result.value > 0.0 else None
+    return result if result.std <= CURVES.largest_conicity_std and result.value > 0.0 else None
 
 
 def _below(known: Sequence[KnownConicity], least: float) -> list[KnownConicity]:
     lower = [one for one in known[:-1] if one.amplitude >= least - SAME_AMPLITUDE]
-    wanted = [known[-1].amplitude - below for below in BELOW] if lower else []
+    wanted = [known[-1].amplitude - below for below in CURVES.shape_distances] if lower else []
     nearest = {min(lower, key=lambda one: abs(one.amplitude - amplitude)) for amplitude in wanted}
     return sorted(nearest, key=lambda one: -one.amplitude)
 
@@ -164,15 +150,17 @@ def _at(family: WornFamily, amplitude: float) -> FloatArray:
 
 def _covariance(shown: Sequence[KnownConicity]) -> FloatArray:
     amplitude, std = (np.array([getattr(one, name) for one in shown]) for name in ("amplitude", "std"))
-    near = np.exp(-np.abs(np.subtract.outer(amplitude, amplitude)) / NEAR)
-    return np.asarray(np.outer(std, std) * (SHARED + (1.0 - SHARED) * near))
+    near = np.exp(-np.abs(np.subtract.outer(amplitude, amplitude)) / CURVES.near_amplitude)
+    return np.asarray(np.outer(std, std) * (CURVES.shared_error_share + (1.0 - CURVES.shared_error_share) * near))
 
 
 def _stopped(family: WornFamily, amplitude: float, conicity: FloatArray) -> FloatArray:
     """Return how likely (m,) the motion of the members ends before the next amplitude (m); 1 where conicity is even."""
-    beyond = np.maximum(_at(family, amplitude + NEXT_AMPLITUDE), FLAT)
-    ratio = 2.0 * np.log1p(NEXT_AMPLITUDE / amplitude)
-    return np.asarray(np.clip(1.0 + np.log(beyond / np.maximum(conicity, FLAT)) / ratio, *STOPPED))
+    beyond = np.maximum(_at(family, amplitude + CURVES.uncovered_step), CURVES.flat_conicity)
+    ratio = 2.0 * np.log1p(CURVES.uncovered_step / amplitude)
+    return np.asarray(
+        np.clip(1.0 + np.log(beyond / np.maximum(conicity, CURVES.flat_conicity)) / ratio, *CURVES.stop_weights)
+    )
 
 
 def _alike(
@@ -184,10 +172,10 @@ def _alike(
     errors of the estimate and the width of what is alike, and by how likely their motion ends there (m,). That all of
     them lie to one side is no reason to say nothing: the fit is carried on to the wheelset.
     """
-    for wider in WIDER:
+    for wider in CURVES.widening_factors:
         inverse = np.linalg.inv(covariance + np.diag((wider * width) ** 2))
         weight = stopped * np.exp(-0.5 * ((error @ inverse) * error).sum(axis=1))
-        if weight.sum() >= LEAST_MEMBERS:
+        if weight.sum() >= CURVES.least_members:
             return weight, wider * width
     return None
 
@@ -198,7 +186,7 @@ def _local_fit(
     """Return the change up to the limit's amplitude, its std from the estimate's error, and what is left (m,)."""
     # the changes (m,) are fitted as linear in level and slopes (m, n), by the weights (m,)
     design = np.column_stack([np.ones(len(error)), error / width])
-    normal = (design * weight[:, np.newaxis]).T @ design + RIDGE * np.diag([0.0] + [1.0] * len(width))
+    normal = (design * weight[:, np.newaxis]).T @ design + CURVES.ridge_weight * np.diag([0.0] + [1.0] * len(width))
     level, *slopes = np.linalg.solve(normal, design.T @ (weight * change))
     left = change - design @ np.array([level, *slopes])
     gradient = np.array(slopes) / width
@@ -209,15 +197,13 @@ def _local_fit(
 def _quantiles(left: FloatArray, weight: FloatArray) -> tuple[float, ...]:
     order = np.argsort(left)
     counted = np.cumsum(weight[order]) - 0.5 * weight[order]
-    shares = (np.arange(SHOWN) + 0.5) / SHOWN
+    shares = (np.arange(CURVES.spread_values) + 0.5) / CURVES.spread_values
     values = np.interp(shares * weight.sum(), counted, left[order])
     return tuple((values - values.mean()).tolist())
 
 
 QUANTITY = "equivalent_conicity"  # at the limit's amplitude; at another one its name has the amplitude
-WANTED_SHARE = 0.75  # of the latest intervals that must cover an amplitude
 _PREFERRED = round(LIMIT_AMPLITUDE / SAME_AMPLITUDE)
-LATEST = 8  # intervals: an amplitude that a little worn wheelset did not reach long ago may be covered now
 
 _Covered = tuple[IntervalConicities, Mapping[int, KnownConicity]]  # with its conicities by amplitude in micrometres
 
@@ -277,7 +263,7 @@ def _extrapolated_points(having: Sequence[_Covered], chosen: int, notes: Sequenc
         smaller = [covered[key]._replace(amplitude=key * SAME_AMPLITUDE) for key in sorted(covered) if key <= chosen]
         found.append((record, extrapolated(smaller)))
     known = [(record, one) for record, one in found if one is not None]
-    if not known or found[-1][1] is None or len(known) < WANTED_SHARE * len(found):
+    if not known or found[-1][1] is None or len(known) < CURVES.covering_share * len(found):
         return None
     points = tuple(_point(record, one) for record, one in known)
     note = combined([extrapolated_from(chosen * SAME_AMPLITUDE), *notes])
@@ -289,8 +275,8 @@ def _amplitude(covered: Sequence[Mapping[int, KnownConicity]]) -> int:
     keys = sorted({key for c in covered for key in c})
     keys = [key for key in keys if key <= _PREFERRED] or keys
     counts = {key: sum(key in c for c in covered) for key in keys}
-    latest = covered[-LATEST:]
-    enough = [key for key in keys if sum(key in c for c in latest) >= WANTED_SHARE * len(latest)]
+    latest = covered[-CURVES.covering_intervals :]
+    enough = [key for key in keys if sum(key in c for c in latest) >= CURVES.covering_share * len(latest)]
     return max(enough) if enough else max(counts, key=lambda key: (counts[key], key))
 
 
@@ -304,8 +290,7 @@ def _point(record: IntervalConicities, conicity: KnownConicity | Extrapolation) 
 
 
 TABLE = "worn_family.npy"  # written by ``python -m bench.worn_family``
-UNIT = 1e-4  # of a stored conicity
-AMPLITUDES: FloatArray = np.arange(2, 13, dtype=np.float64) * 0.25e-3  # m
+AMPLITUDES: FloatArray = np.array(CURVES.table_amplitudes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,4 +307,4 @@ def worn_family() -> WornFamily:
     """Return all pairs, as they are kept beside this module."""
     with as_file(files("estimation.contact") / TABLE) as path:
         stored = np.load(path, allow_pickle=False)
-    return WornFamily(AMPLITUDES, np.asarray(stored[:, 1:] * UNIT), stored[:, 0].astype(np.int64))
+    return WornFamily(AMPLITUDES, np.asarray(stored[:, 1:] * CURVES.stored_unit), stored[:, 0].astype(np.int64))

@@ -15,7 +15,6 @@ import numpy as np
 from scipy.special import ndtr
 
 from estimation.trend.extrapolation import (
-    LEAST_AMPLITUDE,
     LIMIT_AMPLITUDE,
     SAME_AMPLITUDE,
     Extrapolation,
@@ -23,6 +22,7 @@ from estimation.trend.extrapolation import (
     conicity_at_limit_amplitude,
     extrapolated,
 )
+from estimation.trend.parameters import CURVES
 from estimation.values.alerts import NO_FORECAST, LimitNow, MileageNow, Severity, Urgency
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
@@ -30,8 +30,6 @@ from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.trend import WearTrend
 
 QUANTILES = {"p10": 0.1, "p50": 0.5, "p90": 0.9}
-LAST_POINTS = 2  # of a trend: one alone may be an outlier
-NOT_BELOW = 0.6  # least probability at 3 mm with which a conicity over the limit at a smaller amplitude is over it
 NO_TREND = Reason(ReasonCode.TOO_FEW_POINTS, "there is no trend since the last reprofiling yet")
 NOT_FINITE = Reason(ReasonCode.NOT_FINITE, "the calculation gave no finite number")
 BEYOND = Reason(ReasonCode.BEYOND_HORIZON, "not reached within the forecast horizon")
@@ -46,6 +44,8 @@ class UrgencyScale:
     due_within_km: float = 30_000.0  # km, p10 of the distance: beyond, the shipped rule on the forecast lets go
     # of the limit: at a wear of 0.05 in 100,000 km, the rest of it lasts as far as that or more
     far_below_share: float = 0.8
+    last_points: int = 2  # of a trend: one alone may be an outlier
+    not_below_probability: float = 0.6  # 1, at 3 mm, for a conicity over the limit at a smaller amplitude to be over it
 
     def over(self, probability: float | None) -> Urgency | None:
         """Return whether the limit is exceeded, or probably is; None where it is not, or nothing is known."""
@@ -129,7 +129,7 @@ class LimitState:
         if of_trend is None:
             return None
         known = [(self.conicity, of_trend)]
-        if len(self.last) == LAST_POINTS:
+        if len(self.last) == SCALE.last_points:
             points = [(one, self._above(one, limit) or 0.0) for one in self.last]
             known.append(min(points, key=lambda pair: pair[1]))
         conicity, probability = max(known, key=lambda pair: pair[1])
@@ -147,11 +147,11 @@ class LimitState:
         # That is the one at 3 mm; at the amplitude reached where that one is over more probably and the one at 3 mm is
         # unknown or not rather below. One that is below at a smaller amplitude alone decides nothing.
         at_limit, at_reached = self.at_limit(limit), self.at_reached(limit)
-        if at_reached is None or at_reached.probability < NOT_BELOW:
+        if at_reached is None or at_reached.probability < SCALE.not_below_probability:
             return at_limit
         if at_limit is None:
             return at_reached
-        if at_limit.probability < NOT_BELOW:
+        if at_limit.probability < SCALE.not_below_probability:
             return at_limit
         return max(at_limit, at_reached, key=lambda one: one.probability)
 
@@ -174,15 +174,15 @@ def limit_state(geometry: WheelsetGeometry, trend: WearTrend | None) -> LimitSta
     if conicity is None or conicity.status is not Status.ESTIMATED:
         conicity = conicity_at_limit_amplitude(geometry)
     amplitude = geometry.reported_amplitude
-    reaches = LEAST_AMPLITUDE - SAME_AMPLITUDE < amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE
+    reaches = CURVES.least_amplitude - SAME_AMPLITUDE < amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE
     known = reaches and geometry.equivalent_conicity.status is Status.ESTIMATED
     beyond = extrapolated(below_limit(geometry)) if known else None
     last: list[Estimate] = []
     if trend is not None and conicity is fitted:
-        pairs = zip(trend.value[-LAST_POINTS:].tolist(), trend.std[-LAST_POINTS:].tolist(), strict=True)
+        pairs = zip(trend.value[-SCALE.last_points :].tolist(), trend.std[-SCALE.last_points :].tolist(), strict=True)
         last = [with_interval(value, std) for value, std in pairs]
     left_open = any(
-        LEAST_AMPLITUDE - SAME_AMPLITUDE < at < LIMIT_AMPLITUDE + SAME_AMPLITUDE
+        CURVES.least_amplitude - SAME_AMPLITUDE < at < LIMIT_AMPLITUDE + SAME_AMPLITUDE
         and code_of(one.reason) is ReasonCode.CONICITY_OPEN
         for at, one in zip(geometry.amplitude.tolist(), geometry.conicity, strict=True)
     )

@@ -19,10 +19,8 @@ from annotated_types import Interval
 from estimation.trend.change_point import Series, StepModel, newest_change
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.trend import SuspensionChange, SuspensionFinding
+from estimation.values.units import DAY_NS, MEDIAN_VARIANCE, STD_PER_MAD
 
-MEDIAN_VARIANCE = np.pi / 2.0  # of that of a mean, of normal values
-MAD_STD = 1.4826  # standard deviations in a median absolute deviation
-DAY_NS = 86_400_000_000_000
 STEP = StepModel(
     slope=0.0,
     slope_std=0.0,
@@ -194,4 +192,4 @@ def _scatter(shifts: Sequence[float], middle: float, p: SuspensionParameters) ->
         return p.common_creep_std
     if len(shifts) == 2:  # noqa: PLR2004 - two have no majority
         return float(np.std(shifts, ddof=1))
-    return MAD_STD * float(np.median(np.abs(np.asarray(shifts) - middle)))
+    return STD_PER_MAD * float(np.median(np.abs(np.asarray(shifts) - middle)))

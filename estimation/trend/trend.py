@@ -11,53 +11,47 @@ import numpy as np
 from estimation.trend.change_point import ChangePoint, Series, StepModel, newest_change
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, by_amplitude
 from estimation.trend.now import QUANTILES, probability_above
+from estimation.trend.parameters import CURVES
 from estimation.trend.wear_curve import POINTS_FOR_OUTLIERS, WearCurve, fit_wear_curve
 from estimation.values.alerts import NO_FORECAST
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.geometry import IntervalConicities, KnownConicity
+from estimation.values.memory import MEMORY
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.trend import TrendPoint, TrendRecord, TrendStep, WearTrend
-
-TOGETHER = (3, 6, 12)  # last points that are judged together
-JUDGED_SHARE = 3  # at most one in so many of the points
-FEWEST = 6  # points that are left
-DISAGREES = 2.5  # standard deviations of the mean of the last points off the curve
-MOST_OFF = 3.0  # scatters that one point counts for
-LEAST_SCATTER = 0.1  # of the stated standard deviation
-NORMAL_MAD = 1.4826
+from estimation.values.units import STD_PER_MAD, YEAR_NS
 
 
-def fit_recent(x: FloatArray, value: FloatArray, std: FloatArray) -> WearCurve:
+def fit_recent(x: FloatArray, value: FloatArray, std: FloatArray, params: TrendParameters) -> WearCurve:
     """Fit the curve to the newest points that it agrees with."""
-    scatter = _scatter(value, std)
+    scatter = _scatter(value, std, params)
     first = 0
     while True:
         curve = fit_wear_curve(x[first:], value[first:], std[first:])
         left = len(x) - first
-        later = first + min(left // 2, left - FEWEST)
-        if later <= first or not x[-1] > x[later] or _agrees(curve, x[first:], value[first:], scatter[first:]):
+        later = first + min(left // 2, left - params.fewest_judged)
+        if later <= first or not x[-1] > x[later] or _agrees(curve, x[first:], value[first:], scatter[first:], params):
             return curve
         first = later
 
 
-def _agrees(curve: WearCurve, x: FloatArray, value: FloatArray, scatter: FloatArray) -> bool:
+def _agrees(curve: WearCurve, x: FloatArray, value: FloatArray, scatter: FloatArray, params: TrendParameters) -> bool:
     level, slope = float(curve.weight @ curve.level), float(curve.weight @ curve.slope)
-    off = np.clip((value - level - slope * (x - x[-1])) / scatter, -MOST_OFF, MOST_OFF)
-    judged = [count for count in TOGETHER if JUDGED_SHARE * count <= len(x)]
-    return all(abs(float(np.mean(off[-count:]))) * np.sqrt(count) <= DISAGREES for count in judged)
+    off = np.clip((value - level - slope * (x - x[-1])) / scatter, -params.clipped_stds, params.clipped_stds)
+    judged = [count for count in params.judged_together if params.judged_share * count <= len(x)]
+    return all(abs(float(np.mean(off[-count:]))) * np.sqrt(count) <= params.disagreement_stds for count in judged)
 
 
-def _scatter(value: FloatArray, std: FloatArray) -> FloatArray:
+def _scatter(value: FloatArray, std: FloatArray, params: TrendParameters) -> FloatArray:
     """Return how far each point (k,) scatters about its neighbours: what all points have in common is not in it."""
-    if len(value) < FEWEST:
+    if len(value) < params.fewest_judged:
         return std
     steps = np.diff(value) / np.hypot(std[1:], std[:-1])
-    share = NORMAL_MAD * float(np.median(np.abs(steps - np.median(steps))))
-    return std * min(1.0, max(LEAST_SCATTER, share))
+    share = STD_PER_MAD * float(np.median(np.abs(steps - np.median(steps))))
+    return std * min(1.0, max(params.least_scatter, share))
 
 
-YEAR_NS = 365.25 * 86_400e9
 ONE_DATE = Reason(ReasonCode.SINGLE_DATE, "all points have one date")
 
 
@@ -70,6 +64,17 @@ class TrendParameters:
     horizon_km: float = 500_000.0
     horizon_years: float = 10.0
     smallest_std: float = 1e-6  # a std below it is not credible
+    judged_together: tuple[int, int, int] = (3, 6, 12)  # last points that are judged together
+    judged_share: int = 3  # at most one in so many of the points
+    fewest_judged: int = 6  # points that are left
+    disagreement_stds: float = 2.5  # standard deviations of the mean of the last points off the curve
+    clipped_stds: float = 3.0  # scatters that one point counts for
+    least_scatter: float = 0.1  # of the stated standard deviation
+    covering_share: float = 0.75  # of the newest intervals, and of those before, that cover the amplitude
+    newest_points: int = 8  # intervals
+    points_before: int = 24
+    points_looked_back: int = 12  # intervals behind a step of which one showed it first
+    least_std: float = 1e-6  # a std below it is not credible
 
 
 def refresh(
@@ -173,13 +178,13 @@ def _unestimated(points: _Columns, limit: float, quantity: str, reason: Reason |
 def _estimated(
     points: _Columns, limit: float, params: TrendParameters, quantity: str, note: Reason | None, shared_std: float
 ) -> WearTrend:
-    by_distance = fit_recent(points.mileage_km, points.value, points.std).shifted(shared_std)
+    by_distance = fit_recent(points.mileage_km, points.value, points.std, params).shifted(shared_std)
     count = float(by_distance.share.sum())
     order = np.argsort(points.measured_ns, kind="stable")
     since, by_date = points.measured_ns[order] - points.measured_ns.max(), None
     slope_per_year, date = Estimate.unknown(ONE_DATE, count), NO_FORECAST
     if since[0] != 0:
-        by_date = fit_recent(since / YEAR_NS, points.value[order], points.std[order]).shifted(shared_std)
+        by_date = fit_recent(since / YEAR_NS, points.value[order], points.std[order], params).shifted(shared_std)
         slope_per_year = by_date.slope_now().estimate(count)
         years = _forecast(by_date, limit, params.horizon_years)
         last = int(points.measured_ns.max())
@@ -205,7 +210,7 @@ def _ahead(curve: WearCurve, limit: float, distance: Forecast, horizon_km: float
     """Return distances from the last point and the probabilities of being over the limit there."""
     # the quantiles are among them: in between it is interpolated, and at these it is exact
     quantiles = [far for far in (distance.p10, distance.p50, distance.p90) if far]
-    ahead_km = np.unique([*(horizon_km * np.linspace(0.0, 1.0, KEPT_AHEAD) ** 2), *quantiles])
+    ahead_km = np.unique([*(horizon_km * np.linspace(0.0, 1.0, CURVES.points_ahead) ** 2), *quantiles])
     return ahead_km, curve.above_after(ahead_km, limit)
 
 
@@ -213,23 +218,18 @@ def _forecast(curve: WearCurve, limit: float, horizon: float) -> Forecast:
     return Forecast(*(curve.reaches(limit, probability, horizon) for probability in QUANTILES.values()))
 
 
-KEPT_AHEAD = 61  # distances to the horizon at which the probability is kept
-COVERING = 0.75  # of the newest intervals, and of those before, that cover the amplitude
-NEWEST, BEFORE = 8, 24  # intervals
 ENOUGH_BEHIND = POINTS_FOR_OUTLIERS  # points among which a trend finds an outlier; with fewer it says so
-LOOKED_BACK = 12  # intervals behind a step of which one showed it first
-SMALLEST_STD = 1e-6  # a std below it is not credible
 
 _Covered = tuple[IntervalConicities, Mapping[int, KnownConicity]]  # with its conicities by amplitude in micrometres
 
 
-def newest_step(records: Sequence[IntervalConicities]) -> TrendStep | None:
+def newest_step(records: Sequence[IntervalConicities], params: TrendParameters) -> TrendStep | None:
     """Return the newest sudden change of the conicity of a wheelset; None where there is none."""
     # it is looked for at the largest amplitude up to 3 mm that intervals on both sides cover, never by extrapolation: a
     # profile that was turned moves further than before
     model = StepModel()
     covered = sorted(((r, by_amplitude(r)) for r in records), key=lambda one: (one[0].mileage_km, one[0].from_ns))
-    amplitude = _amplitude([known for _, known in covered if known], 2 * model.least_points)
+    amplitude = _amplitude([known for _, known in covered if known], 2 * model.least_points, params)
     having = [(r, known) for r, known in covered if amplitude in known]
     if len(having) < 2 * model.least_points:
         return None
@@ -237,7 +237,7 @@ def newest_step(records: Sequence[IntervalConicities]) -> TrendStep | None:
         np.array([r.mileage_km for r, _ in having], dtype=np.float64),
         np.array([0.5 * (r.from_ns + r.to_ns) for r, _ in having], dtype=np.float64),
         np.array([known[amplitude].value for _, known in having], dtype=np.float64),
-        np.maximum([known[amplitude].std for _, known in having], SMALLEST_STD),
+        np.maximum([known[amplitude].std for _, known in having], params.least_std),
     )
     found = newest_change(series, model)
     if found is None:
@@ -248,7 +248,7 @@ def newest_step(records: Sequence[IntervalConicities]) -> TrendStep | None:
         after_km=after.mileage_km,
         before_ns=min(before.to_ns, after.from_ns),
         after_ns=after.from_ns,
-        found_ns=having[_shown_by(series, found, model)][0].to_ns,
+        found_ns=having[_shown_by(series, found, model, params)][0].to_ns,
         size=with_interval(found.size, found.std, count=float(len(having) - found.first)),
         level_before=found.level,
         amplitude=amplitude * SAME_AMPLITUDE,
@@ -286,27 +286,25 @@ def with_step(trend: WearTrend, step: TrendStep) -> WearTrend:
     )
 
 
-def _shown_by(series: Series, found: ChangePoint, model: StepModel) -> int:
+def _shown_by(series: Series, found: ChangePoint, model: StepModel, params: TrendParameters) -> int:
     k = len(series.value)
-    for until in range(found.first + model.least_points, min(k, found.first + LOOKED_BACK)):
+    for until in range(found.first + model.least_points, min(k, found.first + params.points_looked_back)):
         earlier = newest_change(series.part(0, until), model)
         if earlier is not None and earlier.first > found.last:
             return until - 1
-    return min(k, found.first + LOOKED_BACK) - 1
+    return min(k, found.first + params.points_looked_back) - 1
 
 
-def _amplitude(covered: Sequence[Mapping[int, KnownConicity]], newest: int) -> int:
+def _amplitude(covered: Sequence[Mapping[int, KnownConicity]], newest: int, params: TrendParameters) -> int:
     """Return the key of an amplitude that most intervals cover, the newest and those before alike."""
     # of several it is the one that most of the very newest cover, then the largest: a worn wheelset moves ever less,
     # and a step that its newest intervals show must not wait until they cover what it once did
     limit = round(LIMIT_AMPLITUDE / SAME_AMPLITUDE)
-    sides = [covered[-NEWEST:], covered[-NEWEST - BEFORE : -NEWEST]]
+    recent = params.newest_points
+    sides = covered[-recent:], covered[-recent - params.points_before : -recent]
     keys = {key for one in covered for key in one if key <= limit}
-    enough = [key for key in keys if all(sum(key in one for one in s) >= COVERING * len(s) for s in sides)]
+    enough = [key for key in keys if all(sum(key in one for one in s) >= params.covering_share * len(s) for s in sides)]
     return max(enough, key=lambda key: (sum(key in one for one in covered[-newest:]), key), default=0)
-
-
-KEPT_TRENDS = 10_000  # of earlier intervals, which do not change: a fit costs some 10 ms
 
 
 def trend_up_to(record: TrendRecord, mileage_km: float, shared_std: float, parameters: TrendParameters) -> TrendRecord:
@@ -318,7 +316,7 @@ def trend_up_to(record: TrendRecord, mileage_km: float, shared_std: float, param
     return replace(record, trend=_refitted(points, now.limit, now.quantity, shared_std, parameters))
 
 
-@lru_cache(KEPT_TRENDS)
+@lru_cache(MEMORY.trends)
 def _refitted(
     points: tuple[bytes, ...], limit: float, quantity: str, shared_std: float, parameters: TrendParameters
 ) -> WearTrend:

@@ -21,25 +21,14 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
+from estimation.trend.parameters import CURVES
 from estimation.values.arrays import FloatArray
 from estimation.values.mixture import NormalMixture
+from estimation.values.units import STD_PER_MAD
 
-MOST_KNOTS = 8
-PAIRS_LIMIT = 500  # points up to which all pairs enter the pilot slope
-OUTLIER_SHARE = 0.05
-OUTLIER_WIDTH = 10.0
-POINTS_FOR_OUTLIERS = 5  # with fewer, an outlier cannot be identified
-SCATTER_NODES = 12
-EXTRA_SCATTER = 1.0  # half-Cauchy scale of tau, in median standard deviations
-BEND_NODES = np.array([0.01, 0.15, 0.4, 1.0])  # change of slope over the observed span, in slopes
-BEND_PRIOR = np.array([0.4, 0.2, 0.2, 0.2])
-WANDERING = 0.3  # of the bend's standard deviation
-SMALLEST_STD = 1e-3  # in median standard deviations: a better point cannot make the others count for nothing
-JITTER = 1e-13  # on a unit diagonal: of the order of the rounding of the sums
-ROUNDS = 25
-LOOKED_AT = 240  # distances up to the horizon at which a limit may have been reached
-NEARLY = 1e-9  # of a probability, far more than rounding: what comes as near is computed again by itself
-SHARE_TOLERANCE = 1e-7  # far below what a result shows
+POINTS_FOR_OUTLIERS = CURVES.points_for_outliers
+BEND_NODES = np.array(CURVES.bend_nodes)
+BEND_PRIOR = np.array(CURVES.bend_prior)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +78,8 @@ class WearCurve:
 
         if short(0.0) >= 0.0:
             return 0.0
-        distances = horizon * np.linspace(0.0, 1.0, LOOKED_AT + 1) ** 2
-        for i in np.flatnonzero(self.above_after(distances, limit) >= probability - NEARLY):
+        distances = horizon * np.linspace(0.0, 1.0, CURVES.horizon_points + 1) ** 2
+        for i in np.flatnonzero(self.above_after(distances, limit) >= probability - CURVES.probability_margin):
             before, distance = float(distances[i - 1]), float(distances[i])
             if i > 0 and short(distance) >= 0.0:
                 return float(brentq(short, before, distance, xtol=1e-6 * horizon))
@@ -124,17 +113,17 @@ def fit_wear_curve(x: FloatArray, value: FloatArray, std: FloatArray) -> WearCur
         raise ValueError("a wear curve needs two points, a span between them and positive standard deviations")
     points = _scale(x, value, std)
     pilot_slope, pilot_std, residual = _pilot(points)
-    inflation = max(1.0, _weighted_median(np.abs(residual) / np.sqrt(points.variance), np.ones(len(x))) * 1.4826)
+    inflation = max(1.0, _weighted_median(np.abs(residual) / np.sqrt(points.variance), np.ones(len(x))) * STD_PER_MAD)
     share = _shares(residual, points.variance * inflation**2)
     scatter, scatter_prior = _scatter_grid(residual)
     bend = BEND_NODES * float(np.hypot(pilot_slope, pilot_std))
     converged = False
-    for _ in range(ROUNDS):
+    for _ in range(CURVES.fit_rounds):
         nodes = _solve(points, share, scatter, bend, np.outer(scatter_prior, BEND_PRIOR).ravel())
         weight, beta, _, node_scatter, _ = nodes
         residual = points.z - points.design @ (weight @ beta)
         update = _shares(residual, points.variance + float(weight @ node_scatter**2))
-        converged = bool(np.max(np.abs(update - share)) < SHARE_TOLERANCE)
+        converged = bool(np.max(np.abs(update - share)) < CURVES.share_tolerance)
         share = update
         if converged:
             break
@@ -145,14 +134,21 @@ def fit_wear_curve(x: FloatArray, value: FloatArray, std: FloatArray) -> WearCur
 def _scale(x: FloatArray, value: FloatArray, std: FloatArray) -> _Scaled:
     span, unit, shift = float(x[-1] - x[0]), float(np.median(std)), float(np.median(value))
     u = (x - x[-1]) / span
-    knots = max(0, min(MOST_KNOTS, len(x) - 2))
+    knots = max(0, min(CURVES.most_knots, len(x) - 2))
     spacing = 1.0 / (knots + 1)
     at = -spacing * np.arange(1, knots + 1)
     # a hinge is zero after its knot, so level and slope keep their meaning at the last point
     hinges = np.maximum(0.0, at[None, :] - u[:, None])
     design = np.column_stack([np.ones(len(x)), u, _damped(u), hinges])
     return _Scaled(
-        u, (value - shift) / unit, np.maximum(std / unit, SMALLEST_STD) ** 2, design, spacing, span, unit, shift
+        u,
+        (value - shift) / unit,
+        np.maximum(std / unit, CURVES.least_std_share) ** 2,
+        design,
+        spacing,
+        span,
+        unit,
+        shift,
     )
 
 
@@ -163,7 +159,9 @@ def _damped(u: FloatArray) -> FloatArray:
 
 def _pilot(points: _Scaled) -> tuple[float, float, FloatArray]:
     k = len(points.x)
-    first, second = np.triu_indices(k, 1) if k <= PAIRS_LIMIT else (np.arange(k // 2), np.arange(k // 2) + k - k // 2)
+    first, second = np.arange(k // 2), np.arange(k // 2) + k - k // 2
+    if k <= CURVES.most_paired_points:
+        first, second = np.triu_indices(k, 1)
     run = points.x[second] - points.x[first]
     keep = run > 0.0
     first, second, run = first[keep], second[keep], run[keep]
@@ -190,18 +188,18 @@ def _shares(residual: FloatArray, variance: FloatArray) -> FloatArray:
         return np.ones(len(residual))
     square = residual**2 / variance
     odds = (
-        OUTLIER_SHARE / (1.0 - OUTLIER_SHARE) / OUTLIER_WIDTH
-        * np.exp(np.minimum(0.5 * square * (1.0 - OUTLIER_WIDTH**-2), 500.0))
+        CURVES.outlier_share / (1.0 - CURVES.outlier_share) / CURVES.outlier_stds
+        * np.exp(np.minimum(0.5 * square * (1.0 - CURVES.outlier_stds**-2), 500.0))
     )  # fmt: skip
     good = 1.0 / (1.0 + odds)
-    return good + (1.0 - good) / OUTLIER_WIDTH**2
+    return good + (1.0 - good) / CURVES.outlier_stds**2
 
 
 def _scatter_grid(residual: FloatArray) -> tuple[FloatArray, FloatArray]:
     largest = max(4.0, 3.0 * float(np.sqrt(np.mean(residual**2))))
-    nodes = np.concatenate([[0.0], np.geomspace(0.1, largest, SCATTER_NODES - 1)])
+    nodes = np.concatenate([[0.0], np.geomspace(0.1, largest, CURVES.scatter_nodes - 1)])
     edges = np.concatenate([[0.0], [0.05], np.sqrt(nodes[1:-1] * nodes[2:]), [largest * 1.2]])
-    prior = np.diff(np.arctan(edges / EXTRA_SCATTER))  # half-Cauchy mass of each node's cell
+    prior = np.diff(np.arctan(edges / CURVES.scatter_scale))  # half-Cauchy mass of each node's cell
     return nodes, prior / prior.sum()
 
 
@@ -218,11 +216,11 @@ def _solve(points: _Scaled, share: FloatArray, scatter: FloatArray, bend: FloatA
     energy = information @ z**2  # (s,)
     ridge = np.zeros((len(bend), width))
     ridge[:, 2] = 1.0 / bend**2
-    ridge[:, 3:] = (1.0 / ((WANDERING * bend) ** 2 * points.spacing))[:, None]
+    ridge[:, 3:] = (1.0 / ((CURVES.wandering_share * bend) ** 2 * points.spacing))[:, None]
     A = (gram[:, None] + np.eye(width) * ridge[None, :, None, :]).reshape(-1, width, width)
     b = np.repeat(moment, len(bend), axis=0)
     size = np.sqrt(np.diagonal(A, axis1=1, axis2=2))  # scaled to a unit diagonal before it is factored
-    L = np.linalg.cholesky(A / (size[:, :, None] * size[:, None, :]) + JITTER * np.eye(width))
+    L = np.linalg.cholesky(A / (size[:, :, None] * size[:, None, :]) + CURVES.diagonal_jitter * np.eye(width))
     inverse = np.linalg.inv(L)
     half = np.einsum("mij,mj->mi", inverse, b / size)
     beta = np.einsum("mji,mj->mi", inverse, half) / size
@@ -249,7 +247,7 @@ def _unscale(points: _Scaled, nodes: _Nodes, share: FloatArray) -> WearCurve:
         slope=rise * beta[:, 1],
         damped=rise * beta[:, 2],
         covariance=covariance * np.outer(units, units),
-        wandering=WANDERING * bend * rise / np.sqrt(points.span),
+        wandering=CURVES.wandering_share * bend * rise / np.sqrt(points.span),
         span=points.span,
         share=share,
     )

@@ -16,6 +16,7 @@ from estimation.values.fields import JsonValue, Served
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import MeaningEnum, Reason, ReasonCode, code_of, text_of
 from estimation.values.registry import WheelsetRecord
+from estimation.values.units import SECOND_NS
 
 
 class AlertScope(StrEnum):
@@ -289,7 +290,6 @@ class WorklistRow:
     state: WorklistState
 
 
-SECOND_NS = 1_000_000_000
 SHOWN_DIGITS = 6  # of what other faces show as well: more than any of them prints, so that all round alike
 MOST_NS = 2.0**63 - SECOND_NS  # so that the rounded time is within 64 bits
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
-IN_MM = 1e3
+from estimation.values.units import IN_MM
 
 
 @dataclass(frozen=True, slots=True)

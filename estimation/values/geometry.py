@@ -11,10 +11,11 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, bin_centres, freeze
-from estimation.values.fields import IN_MM, JsonValue, Served, in_mm
-from estimation.values.quantities import NORMAL_95, Estimate, Status
+from estimation.values.fields import JsonValue, Served, in_mm
+from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason
 from estimation.values.runs import Result, ResultKind, SubjectKind
+from estimation.values.units import IN_MM, NORMAL_95
 from estimation.values.windows import OfWindow
 
 

@@ -10,10 +10,11 @@ from typing import Annotated, Final
 import numpy as np
 
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, frozen_array
-from estimation.values.fields import IN_MM, Served
+from estimation.values.fields import Served
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import History, ResultKind, SubjectKind
+from estimation.values.units import IN_MM
 from estimation.values.windows import OfWindow
 
 CREEP: Final = "creep"

@@ -9,6 +9,7 @@ import numpy as np
 
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason
+from estimation.values.units import NORMAL_95
 
 
 class Status(StrEnum):
@@ -54,10 +55,6 @@ class Forecast:
     p10: float | None
     p50: float | None
     p90: float | None
-
-
-NORMAL_95 = 1.959963984540054
-"""Standard deviations from the mean of a normal distribution to the ends of its 95 % interval."""
 
 
 def leave_one_out(groups: FloatArray, present: BoolArray) -> FloatArray:

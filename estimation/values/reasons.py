@@ -8,6 +8,8 @@ from datetime import UTC, datetime, timedelta
 from enum import EnumType, StrEnum
 from typing import Any, Self
 
+from estimation.values.units import SECOND_NS
+
 
 class _CodesByName(EnumType):
     """What is assigned to a member is its meaning; its code is its name in lower case."""
@@ -316,11 +318,10 @@ def code_of(reason: Reason | None) -> ReasonCode | None:
 
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_SECOND = 1_000_000_000
 
 
 def utc_text(t_ns: int) -> str:
     """Return a time, ns since 1970, as people read it: in UTC, to the second where it is a whole one."""
-    seconds, rest = divmod(t_ns, _SECOND)
+    seconds, rest = divmod(t_ns, SECOND_NS)
     decimals = f".{rest:09d}".rstrip("0") if rest else ""
     return f"{(_EPOCH + timedelta(seconds=seconds)).strftime('%Y-%m-%dT%H:%M:%S')}{decimals}Z"

@@ -10,7 +10,8 @@ from typing import Annotated, Self
 from annotated_types import Interval
 
 from estimation.errors import ParameterError
-from estimation.values.fields import IN_MM, MM, FileDefault, FileForm, FileUnit, Key, Served
+from estimation.values.fields import MM, FileDefault, FileForm, FileUnit, Key, Served
+from estimation.values.units import IN_MM
 
 MAX_AXLES = 8
 MOST_KM = 1e8

@@ -18,6 +18,7 @@ from estimation.errors import (
 from estimation.values.fields import JsonValue, Served
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import DAY_S, HOUR_S, SECOND_NS
 
 
 class JobTrigger(StrEnum):
@@ -64,10 +65,18 @@ class Claimed:
     begun_ns: Mapping[str, int] = field(default_factory=dict)  # of ``keys``, by the clock of the claims
 
 
-SECOND_NS = 1_000_000_000
-FIRST_DELAY_S = 60.0
-PASSING_FACTOR, PASSING_LONGEST_S = 2.0, 3_600.0
-FAILED_FACTOR, FAILED_LONGEST_S = 4.0, 86_400.0
+@dataclass(frozen=True, slots=True)
+class RetryDelays:
+    """How long a subject that failed is left alone: longer each time."""
+
+    factor: float
+    longest_s: float
+    first_s: float = 60.0
+    most_doublings: int = 20
+
+
+PASSING_DELAYS = RetryDelays(2.0, HOUR_S)
+FAILED_DELAYS = RetryDelays(4.0, DAY_S)
 
 
 class SubjectKind(StrEnum):
@@ -134,8 +143,8 @@ def delay_s(code: ReasonCode, attempts: int) -> float:
     if attempts < 1:
         return 0.0
     passing = code in PASSING or code is ReasonCode.CONFLICT
-    factor, longest = (PASSING_FACTOR, PASSING_LONGEST_S) if passing else (FAILED_FACTOR, FAILED_LONGEST_S)
-    return min(FIRST_DELAY_S * factor ** min(attempts - 1, 20), longest)
+    delays = PASSING_DELAYS if passing else FAILED_DELAYS
+    return min(delays.first_s * delays.factor ** min(attempts - 1, delays.most_doublings), delays.longest_s)
 
 
 ERROR_LENGTH = 500
@@ -228,8 +237,6 @@ class Result(Generic[V]):
 
 
 AnyResult = Result[Any]
-
-
 EVERYTHING = "all"
 """The one subject of a stage that looks at all subjects of its kind together."""
 
@@ -279,20 +286,14 @@ class Due:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What is to be done of some stages of a job, by their names.
+    """What is to be done of some stages of a job, by their names."""
 
-    Attributes:
-        due: Subjects in their order of those of which something is due, or whose settings are others; none of a stage
-            that works window by window.
-        seen: How many subjects stages have seen.
-        listed: Those that work window by window and have listed all with these settings.
-        held: Whether anything of the job is in quarantine.
-    """
-
+    # subjects in their order of those of which something is due, or whose settings are others; none of a stage that
+    # works window by window
     due: Mapping[str, Mapping[str, Due]]
-    seen: Mapping[str, int]
-    listed: frozenset[str]
-    held: bool
+    seen: Mapping[str, int]  # how many subjects stages have seen
+    listed: frozenset[str]  # those that work window by window and have listed all with these settings
+    held: bool  # whether anything of the job is in quarantine
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,10 @@ import numpy as np
 from annotated_types import Interval
 
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, freeze
-from estimation.values.fields import IN_MM, MM, FileForm, JsonValue, Key, Served
+from estimation.values.fields import MM, FileForm, JsonValue, Key, Served
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
+from estimation.values.units import IN_MM
 from estimation.values.windows import WindowRecord
 
 MOST_TONNAGE_MGT = 1000.0  # a year, on one section
@@ -213,9 +214,6 @@ class Correction:
     def at(self, measured: FloatArray) -> FloatArray:
         """Return corrected positions, m."""
         return np.asarray(measured + self.offset + self.scale * (measured - self.middle))
-
-
-OPEN_NS = (1 << 63) - 1  # horizon of the last epoch of a section: whatever comes later may belong to it
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated
 
+import numpy as np
+
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.fields import Served
 from estimation.values.reasons import Reason
@@ -301,3 +303,8 @@ class WithoutEstimate:
 def remedies(reasons: Sequence[Reason | None]) -> str:
     """Return what to do about some reasons, each remedy once, in their order."""
     return " ".join(dict.fromkeys(one.code.remedy for one in reasons if one is not None and one.code.remedy))
+
+
+def fast_enough(speed: FloatArray | float, least_m_s: float) -> BoolArray:
+    """Return where a known speed, m/s, of samples or of the mean of a block, is enough for a reader: the one gate."""
+    return np.asarray(speed >= least_m_s)

@@ -9,11 +9,10 @@ import numpy as np
 from scipy import optimize, special
 
 from estimation.errors import ParameterError
+from estimation.values.units import STEEL_POISSON_RATIO, STEEL_SHEAR_MODULUS
+from estimation.vehicle.parameters import VEHICLE
 
-STEEL_SHEAR_MODULUS = 8.2e10  # G, Pa
-STEEL_POISSON_RATIO = 0.28
-FLATTEST = 1e-3  # semi-axis ratio of an ellipse that is looked for; the table ends at 0.1
-RAIL_CONDITION_STD = 0.10  # relative std of the coefficients on rails as they are, beside the table's
+RAIL_CONDITION_STD = VEHICLE.rail_condition_std
 _ROWS = np.array(  # semi-axis ratio a/b, C11, C22, C23, C33; Poisson's ratio 1/4
     [
         (0.1, 3.31, 2.52, 0.473, 8.28),
@@ -121,12 +120,12 @@ def _semi_axis_ratio(curvature_ratio: float) -> float:
         first, second = special.ellipk(parameter), special.ellipe(parameter)
         return float((second / g**2 - first) / (first - second)) - curvature_ratio
 
-    if excess(FLATTEST) < 0.0:
+    if excess(VEHICLE.flattest_ellipse) < 0.0:
         raise ParameterError(
             f"the curvatures have the ratio {curvature_ratio:.3g}: the contact ellipse is outside Kalker's table",
             field="ratio",
         )
-    return float(optimize.brentq(excess, FLATTEST, 1.0 - 1e-9))
+    return float(optimize.brentq(excess, VEHICLE.flattest_ellipse, 1.0 - 1e-9))
 
 
 def table_coefficients(ratio: float) -> tuple[float, float, float, float]:

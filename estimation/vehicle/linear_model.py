@@ -27,6 +27,8 @@ import numpy.typing as npt
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
+from estimation.values.units import GRAVITY
+from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.regressors import (
     ContactState,
     WheelsetState,
@@ -36,20 +38,18 @@ from estimation.vehicle.regressors import (
     yaw_acceleration,
     yaw_suspension_moment,
 )
-from estimation.vehicle.vehicle_class import GRAVITY, BogieParameters, SensorLayout, VehicleClass, VehicleParameters
+from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, VehicleClass, VehicleParameters
 
 ComplexArray = npt.NDArray[np.complex128]
-ANGLE_PER_DIFFERENCE = 67.0  # c, rad/m: touching at 1:20 on a tread of 300 mm
-ANGLE_SUM = 0.1  # A, rad: twice 1:20
 
 
 @dataclass(frozen=True, slots=True)
 class LinearContact:
     """Contact geometry of one conicity."""
 
-    conicity: float = 0.2  # gamma
-    angle_per_difference: float = ANGLE_PER_DIFFERENCE  # D/R, rad/m
-    angle_sum: float = ANGLE_SUM  # A, rad
+    conicity: float = VEHICLE.usual_conicity  # gamma
+    angle_per_difference: float = VEHICLE.angle_per_difference  # D/R, rad/m
+    angle_sum: float = VEHICLE.angle_sum  # A, rad
 
     def __post_init__(self) -> None:
         if not self.conicity > 0.0:
@@ -184,11 +184,6 @@ def _secondary(bogie: BogieParameters, q: FloatArray, v: FloatArray) -> tuple[Fl
     return force, moment
 
 
-LOWEST_SPEED, HIGHEST_SPEED, SPEED_STEP, SPEED_TOLERANCE = 5.0, 150.0, 2.5, 0.05  # m/s
-_CREEPING = 0.8  # damping ratio of a mode that hardly oscillates
-_STABLE = 1e-5  # 1/s; a body without a spring has an eigenvalue of 0
-
-
 @dataclass(frozen=True, slots=True)
 class Mode:
     """A mode of the linear model."""
@@ -236,7 +231,7 @@ def _name(model: LinearModel, shares: FloatArray, shape: FloatArray, value: comp
         return names[int(np.argmax(np.where(wheelset, 0.0, shares)))]
     lateral = np.array([name.endswith("wheelset lateral") for name in names])
     direction = "lateral" if shares[lateral].sum() >= shares[wheelset & ~lateral].sum() else "yaw"
-    if abs(value.real) > _CREEPING * abs(value):
+    if abs(value.real) > VEHICLE.creeping_damping_ratio * abs(value):
         return f"wheelset {direction}, creep"
     kind = "kinematic" if abs(value.imag) < 4 * math.pi * model.klingel_hz else f"wheelset {direction}"
     if len(model.wheelset_offsets) == 1:
@@ -251,14 +246,14 @@ def critical_speed(vehicle_class: VehicleClass, contact: LinearContact) -> float
 
     def grows(speed: float) -> bool:
         matrix = linear_model(vehicle_class, speed, contact).matrix
-        return bool(np.linalg.eigvals(matrix).real.max() > _STABLE)
+        return bool(np.linalg.eigvals(matrix).real.max() > VEHICLE.stable_growth)
 
-    speeds = np.arange(LOWEST_SPEED, HIGHEST_SPEED + SPEED_STEP, SPEED_STEP)
+    speeds = np.arange(VEHICLE.lowest_speed, VEHICLE.highest_speed + VEHICLE.speed_step, VEHICLE.speed_step)
     unstable = next((float(speed) for speed in speeds if grows(float(speed))), math.inf)
-    if unstable in {LOWEST_SPEED, math.inf}:
+    if unstable in {VEHICLE.lowest_speed, math.inf}:
         return unstable
-    stable = unstable - SPEED_STEP
-    while unstable - stable > SPEED_TOLERANCE:
+    stable = unstable - VEHICLE.speed_step
+    while unstable - stable > VEHICLE.speed_tolerance:
         middle = (stable + unstable) / 2
         stable, unstable = (stable, middle) if grows(middle) else (middle, unstable)
     return unstable

@@ -33,18 +33,12 @@ from estimation.vehicle.linear_model import (
     sensor_filters,
     true_signals,
 )
+from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters
 
 CAUSES = ("noise", "dilution", "track", "creep", "stiffness", "mass", "lengths", "scale")
-LATERAL_WAVE = 3e-3  # m, of which D is reported
-SEEN = 0.25  # std over value below which a quantity is seen
 SCALE_OF = "scale of "  # and the name of a sensor
-QUIETEST = 1e-7  # m/s2, rad/s2 or rad/s per root hertz: no sensor is quieter
-ANGLE_SUM_STD = 0.1  # rad, of dL + dR beforehand: turns a wheelset like 0.1 % of a soft yaw spring
-CERTAIN = 1e-9  # relative std of what is known exactly
-_STEP = 1e-4  # of numerical derivatives, relative
 _LENGTHS = frozenset({"nominal_radius", "half_contact_distance", "wheelbase"})
-_FREQUENCIES = 400
 _UNITS: Mapping[str, float] = {  # of the columns of theta: one unit of each is about as large as the value
     "conicity": 0.1,
     "radius_sum_deviation": 1e-3,
@@ -68,7 +62,7 @@ class Running:
     def frequencies_hz(self) -> FloatArray:
         """(f,) of the band, Hz."""
         short, long = self.wavelengths
-        return np.geomspace(self.speed / long, self.speed / short, _FREQUENCIES)
+        return np.geomspace(self.speed / long, self.speed / short, VEHICLE.frequencies)
 
     @property
     def alignment_density(self) -> FloatArray:
@@ -98,7 +92,7 @@ class Observed:
     @property
     def seen(self) -> bool:
         """Whether the std is below a quarter of the value."""
-        return self.std < SEEN * abs(self.value)
+        return self.std < VEHICLE.seen_std_share * abs(self.value)
 
 
 def observability(vehicle_class: VehicleClass, running: Running) -> tuple[Observed, ...]:
@@ -115,7 +109,14 @@ def observability(vehicle_class: VehicleClass, running: Running) -> tuple[Observ
         ("rL - rR, as conicity", "", at.conicity, 1.0, yaw, "conicity"),
         ("  with the yaw stiffness learnt", "", at.conicity, 1.0, learnt, "conicity"),
         ("rL + rR", "mm", 1.0, 1e3, lateral, "radius_sum_deviation"),
-        ("dL - dR at 3 mm", "mrad", 1e3 * LATERAL_WAVE * at.angle_slope, 1e3 * LATERAL_WAVE, lateral, "angle_slope"),
+        (
+            "dL - dR at 3 mm",
+            "mrad",
+            1e3 * VEHICLE.lateral_amplitude * at.angle_slope,
+            1e3 * VEHICLE.lateral_amplitude,
+            lateral,
+            "angle_slope",
+        ),
         ("dL + dR", "mrad", 1e3 * at.angle_sum, 1e3, yaw, "angle_sum"),
         ("primary yaw stiffness", "MN m/rad", 1e-6 * stiffness, 1e-6 * stiffness, learnt, "yaw_stiffness"),
     )
@@ -180,7 +181,7 @@ def _sensitivity(vehicle_class: VehicleClass, running: Running) -> _Sensitivity:
     raw = (measured @ u[:, :, None])[:, :, 0]
     channels = layout.channels
     of_sensor = {name: channels[name.removeprefix("other_")] for name in SENSORS}
-    densities = np.array([max(of_sensor[name].noise_density, QUIETEST) ** 2 for name in SENSORS])
+    densities = np.array([max(of_sensor[name].noise_density, VEHICLE.least_noise_density) ** 2 for name in SENSORS])
     known = (running.alignment_std / running.alignment_rms) ** 2 * running.alignment_density
     by_track = E[:, :, -1]  # the alignment enters x alone
     return _Sensitivity(
@@ -205,22 +206,22 @@ def _derivatives(
     p: VehicleParameters, wheelbase: float | None, speed: float, at: Combinations, s: ComplexArray
 ) -> tuple[dict[str, ComplexArray], dict[str, ComplexArray]]:
     """Return the derivatives of E (f, 2, signals) by the combinations, and by the logarithms of the parameters."""
-    E = equations(p, wheelbase, speed, at)
+    E, relative = equations(p, wheelbase, speed, at), VEHICLE.derivative_step
 
     def change(changed: FloatArray, step: float) -> ComplexArray:
         return filtered((changed - E) / step, s)
 
     names = [item.name for item in fields(VehicleParameters) if getattr(p, item.name)]
     by_parameter = {
-        name: change(equations(replace(p, **{name: (1 + _STEP) * getattr(p, name)}), wheelbase, speed, at), _STEP)
+        name: change(equations(replace(p, **{name: (1 + relative) * getattr(p, name)}), wheelbase, speed, at), relative)
         for name in names
     }
     if wheelbase is not None:
-        by_parameter["wheelbase"] = change(equations(p, (1 + _STEP) * wheelbase, speed, at), _STEP)
+        by_parameter["wheelbase"] = change(equations(p, (1 + relative) * wheelbase, speed, at), relative)
     by_combination = {}
     for name, unit in _UNITS.items():
-        moved = replace(at, **{name: getattr(at, name) + _STEP * unit})
-        by_combination[name] = change(equations(p, wheelbase, speed, moved), _STEP * unit)
+        moved = replace(at, **{name: getattr(at, name) + relative * unit})
+        by_combination[name] = change(equations(p, wheelbase, speed, moved), relative * unit)
     return by_combination, by_parameter
 
 
@@ -264,12 +265,12 @@ def _dilution(sensitivity: _Sensitivity, equation: int, theta: tuple[str, ...], 
 
 def _bounds(sensitivity: _Sensitivity) -> dict[str, float]:
     changes = {**sensitivity.by_combination, **sensitivity.by_error}
-    prior = [ANGLE_SUM_STD if name == "angle_sum" else math.inf for name in sensitivity.by_combination]
+    prior = [VEHICLE.angle_sum_std if name == "angle_sum" else math.inf for name in sensitivity.by_combination]
     prior += sensitivity.std.values()
     J = np.stack(list(changes.values()), axis=2)  # (f, 2, names)
     weighted = np.linalg.solve(sensitivity.noise + sensitivity.track, J * sensitivity.density[:, None, None])
     information = 2 * sensitivity.duration * np.einsum("fej,fek->jk", J.conj(), weighted).real
-    free = [n for n, std in enumerate(prior) if std > CERTAIN]
+    free = [n for n, std in enumerate(prior) if std > VEHICLE.certain_std]
     names, prior = [list(changes)[n] for n in free], [prior[n] for n in free]
     information = information[np.ix_(free, free)]
 

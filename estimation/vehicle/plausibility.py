@@ -13,10 +13,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
 from estimation.errors import ParameterError
-from estimation.vehicle.vehicle_class import GRAVITY, BogieParameters, VehicleClass, VehicleParameters
+from estimation.values.units import GRAVITY
+from estimation.vehicle.parameters import VEHICLE
+from estimation.vehicle.vehicle_class import BogieParameters, VehicleClass, VehicleParameters
 
-UNIT_FACTOR = 1000.0  # mm for m, N/mm for N/m, t for kg, kN for N
-UNIT_FACTORS = UNIT_FACTOR, UNIT_FACTOR**2  # kN/mm for N/m, MN for N
+UNIT_FACTORS = VEHICLE.unit_factor, VEHICLE.unit_factor**2  # kN/mm for N/m, MN for N
 
 
 @dataclass(frozen=True, slots=True)

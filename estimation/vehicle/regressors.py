@@ -44,6 +44,7 @@ import numpy.typing as npt
 from estimation.compiled import compiled
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.windows import OF_FRAME, Motion
+from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import VehicleParameters
 
 YAW_TARGET_COLUMNS = 8
@@ -195,7 +196,6 @@ YAW_TARGETS = (
 )  # fmt: skip
 REGRESSORS = 4
 SHARED_IN_BOGIE = 3  # regressors of z2 that are the same in all bins: two scale errors and an angle of the sensors
-SMALLEST_FACTOR = 1e-6  # N; in place of zero, with which the data say nothing of D
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +219,7 @@ def angle_difference_derivatives(parameters: VehicleParameters) -> FloatArray:
     by_name = dict.fromkeys(LATERAL_TARGETS[1:], 0.0)
     by_name["spin_creep"] = parameters.lateral_spin_creep_coefficient / parameters.nominal_radius
     by_name["load"] = -parameters.load / 2
-    return np.array(list(by_name.values())) / (angle_difference_factor(parameters) or SMALLEST_FACTOR)
+    return np.array(list(by_name.values())) / (angle_difference_factor(parameters) or VEHICLE.least_force)
 
 
 def regression(
@@ -344,15 +344,6 @@ def lateral_slip_velocity(speed: npt.ArrayLike, state: WheelsetState, contact: C
         + 0.5 * _radius_sum(contact) * _array(contact.roll_rate)
         - _array(speed) * _array(state.yaw)
     )
-
-
-def creep_rate(parameters: VehicleParameters, speed: float) -> float:
-    """Return the fastest decay rate of the creep modes, 1/s: the larger of 2 f22/(m V) and 2 l^2 f11/(I V)."""
-    # it bounds the step of an explicit integration: the rate grows without limit as the speed falls
-    p = parameters
-    lateral = 2.0 * p.lateral_creep_coefficient / (p.wheelset_mass * speed)
-    yaw = 2.0 * p.half_contact_distance**2 * p.longitudinal_creep_coefficient / (p.yaw_inertia * speed)
-    return max(lateral, yaw)
 
 
 def _array(value: npt.ArrayLike) -> FloatArray:

@@ -19,6 +19,8 @@ from annotated_types import Ge, Gt, Interval
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
+from estimation.values.units import GRAVITY
+from estimation.vehicle.parameters import VEHICLE
 
 AXLES_OF_A_BOGIE = 2
 
@@ -58,7 +60,7 @@ class SensorChannel:
     @property
     def usual_scale_std(self) -> float:
         """Relative std of its scale; where none is on file, that of a sensor that nobody calibrated."""
-        return self.scale_std or UNSTATED_SCALE_STD
+        return self.scale_std or VEHICLE.unstated_scale_std
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,22 +131,17 @@ class VehicleClass:
         return axle + 1 if axle % AXLES_OF_A_BOGIE else axle - 1
 
 
-CREEP_STD, STIFFNESS_STD, DAMPING_STD, MASS_STD, LENGTH_STD = 0.10, 0.05, 0.10, 0.025, 0.002
-LOAD_STD = 0.12  # an axle carries 11 t empty and 17 t full, with the passengers that no file has: anything between
-UNSTATED_SCALE_STD = 0.03  # of a sensor whose scale has no std on file
-
-
 def default_relative_std(name: str) -> float:
     """Return the relative standard deviation of a parameter of which none is on file."""
     ends = {
-        "_coefficient": CREEP_STD,
-        "_stiffness": STIFFNESS_STD,
-        "_damping": DAMPING_STD,
-        "_mass": MASS_STD,
-        "_inertia": MASS_STD,
-        "load": LOAD_STD,
+        "_coefficient": VEHICLE.creep_std,
+        "_stiffness": VEHICLE.stiffness_std,
+        "_damping": VEHICLE.damping_std,
+        "_mass": VEHICLE.mass_std,
+        "_inertia": VEHICLE.mass_std,
+        "load": VEHICLE.load_std,
     }
-    return next((std for end, std in ends.items() if name.endswith(end)), LENGTH_STD)
+    return next((std for end, std in ends.items() if name.endswith(end)), VEHICLE.length_std)
 
 
 SHIPPED_VERSION = 0  # of a class that the package holds and the registry does not
@@ -214,7 +211,7 @@ def difference_noise(vehicle_class: VehicleClass, cutoff_wavelength: float) -> f
     p, sensors = vehicle_class.parameters, vehicle_class.sensors
     per_yaw = p.yaw_stiffness * p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
     twice = cutoff_wavelength**3 / (3.0 * (2.0 * math.pi) ** 4)
-    once = cutoff_wavelength * USUAL_SPEED**2 / (2.0 * math.pi) ** 2
+    once = cutoff_wavelength * VEHICLE.usual_speed**2 / (2.0 * math.pi) ** 2
     variance = (once if sensors.yaw_is_gyroscope else twice) * sensors.yaw.noise_density**2
     if vehicle_class.bogie is not None:
         variance += 2.0 * twice * (sensors.mass_lateral.noise_density / vehicle_class.bogie.wheelbase) ** 2
@@ -225,20 +222,14 @@ def usable_cutoff(vehicle_class: VehicleClass, longest: float) -> float:
     """Return the longest cut-off wavelength, m, at which the noise of the sensors leaves something of rL - rR.
 
     A stiff yaw spring turns the slow noise of the yaw sensor into rolling radius difference. Where that is large,
-    longer waves hold noise alone. Shorter ones than ``SHORTEST_CUTOFF`` would not hold the displacement of a wheelset.
+    longer waves hold noise alone. Waves shorter than ``shortest_cutoff`` would not hold the displacement.
     """
     cutoff = longest
-    while cutoff - CUTOFF_STEP >= SHORTEST_CUTOFF:
-        if math.sqrt(difference_noise(vehicle_class, cutoff) / USUAL_SPEED**3) <= MOST_DIFFERENCE_NOISE:
+    while cutoff - VEHICLE.cutoff_step >= VEHICLE.shortest_cutoff:
+        if math.sqrt(difference_noise(vehicle_class, cutoff) / VEHICLE.usual_speed**3) <= VEHICLE.most_difference_noise:
             break
-        cutoff -= CUTOFF_STEP
+        cutoff -= VEHICLE.cutoff_step
     return cutoff
-
-
-MOST_DIFFERENCE_NOISE = 0.3e-3  # m, std of rL - rR at the usual speed
-CUTOFF_STEP = 5.0  # m
-SHORTEST_CUTOFF = 30.0  # m
-USUAL_SPEED = 20.0  # m/s
 
 
 def displacement_noise(vehicle_class: VehicleClass, cutoff_wavelength: float, speed: FloatArray) -> FloatArray:
@@ -251,7 +242,7 @@ def displacement_noise(vehicle_class: VehicleClass, cutoff_wavelength: float, sp
     sensors, height = vehicle_class.sensors, vehicle_class.parameters.nominal_radius
     gravity = GRAVITY if sensors.measures_gravity else 0.0
     if not sensors.measures_gravity:
-        height += RAIL_HEAD_RADIUS
+        height += VEHICLE.rail_head_radius
     of_roll = 1 if sensors.roll_is_gyroscope else 2
     crossed = 2.0 * gravity * height * _integrated(of_roll + 1, slowest)
     both = height**2 * _integrated(of_roll, slowest) + crossed + gravity**2 * _integrated(of_roll + 2, slowest)
@@ -262,10 +253,6 @@ def _integrated(times: int, slowest: FloatArray) -> FloatArray:
     """Return the variance (n,) of white noise of density one, integrated so often, of frequencies from ``slowest``."""
     order = 2 * times
     return np.asarray(1.0 / ((order - 1) * (2.0 * math.pi) ** order * slowest ** (order - 1)))
-
-
-GRAVITY = 9.81  # m/s2
-RAIL_HEAD_RADIUS = 0.08  # m, of the arc beside the crown of all usual rail heads, where most wheels touch
 
 
 def check_possible(parameters: object, may_be_zero: tuple[str, ...]) -> None:

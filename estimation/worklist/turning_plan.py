@@ -13,8 +13,9 @@ from enum import StrEnum
 from itertools import groupby
 from typing import Annotated
 
-from estimation.values.fields import IN_MM, Served
+from estimation.values.fields import Served
 from estimation.values.reasons import Reason
+from estimation.values.units import IN_MM
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +100,6 @@ class PlanLine:
 
 
 TOLERANCE = 1e-9  # m
-_MM = 1e3
 
 
 def turning_plan(
@@ -185,7 +185,7 @@ class _Visit:
         least = self.limits.minimum_radius
         known = dict(self.radii)
         if least is not None and after < least - TOLERANCE:
-            why = f"cannot be turned: {after * _MM:.1f} mm of radius would be left, {least * _MM:.1f} mm needed"
+            why = f"cannot be turned: {after * IN_MM:.1f} mm of radius would be left, {least * IN_MM:.1f} mm needed"
             self.chosen[one.serial] = (Cause.REPLACE, f"{self.chosen[one.serial][1]}; {why}")
             del known[one.serial]  # that of its successor is not known
         else:
@@ -213,7 +213,7 @@ class _Visit:
         least = min(self.radii[smaller.serial])
         difference = 2.0 * (max(self.radii[larger.serial]) - least)
         if difference > limit + TOLERANCE:
-            text = f"{why} by {difference * _MM:.1f} mm > {limit * _MM:g} mm"
+            text = f"{why} by {difference * IN_MM:.1f} mm > {limit * IN_MM:g} mm"
             yield larger, least + 0.5 * limit, text
 
     def _line(self, one: Candidate) -> PlanLine:

@@ -37,13 +37,9 @@ OF_TABLE = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == T
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something that does not belong together.
+    """Something that does not belong together."""
 
-    Attributes:
-        kind: What was compared: ``recording``, ``window file``, ``rows``, ``packed values``, ``database``, ``orphan``.
-    """
-
-    kind: str
+    kind: str  # what was compared: a recording, window file, rows, packed values, the database, an orphan
     subject: str  # what it is about
     detail: str  # what is wrong
     harmless: bool = False  # whether nothing is lost by it: a file that nothing refers to

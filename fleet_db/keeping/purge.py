@@ -13,11 +13,12 @@ from estimation.jobs.job import Job, JobContext
 from estimation.values.reasons import ReasonCode
 from estimation.values.roll_up import APART
 from estimation.values.runs import TRIED_AGAIN, JobOutcome
+from estimation.values.units import DAY_NS
 from estimation.values.windows import DueStage, WindowState
 from fleet_db.atomic_files import unlink_old
 from fleet_db.due import DUE, is_due
 from fleet_db.keeping.kept_files import LEAST_AGE_S, SAMPLES, orphaned_recordings, orphaned_samples
-from fleet_db.keeping.retention import DAY_NS, Kept, Retention
+from fleet_db.keeping.retention import Kept, Retention
 from fleet_db.locks import keeping_alone
 from fleet_db.raw import RawStore
 from fleet_db.records import DeliveryState

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from estimation.errors import ParameterError
-
-DAY_NS = 86_400_000_000_000
+from estimation.values.units import DAY_NS
 
 LEAST_DAYS_OF_SAMPLES = 1.0  # what is estimated now, and the other axle of the bogie, must have them
 

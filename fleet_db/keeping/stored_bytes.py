@@ -22,8 +22,9 @@ from sqlalchemy import (
 from sqlalchemy.exc import OperationalError
 
 from estimation.errors import StorageError
+from estimation.values.units import DAY_NS, HOUR_NS
 from fleet_db.keeping.kept_files import SAMPLES
-from fleet_db.keeping.retention import DAY_NS, Kept, Retention
+from fleet_db.keeping.retention import Kept, Retention
 from fleet_db.raw import RawStore, RawTotal, total_of
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
@@ -154,7 +155,6 @@ WINDOWS, CHUNKS = table_of(WindowRow), table_of(ChunkRow)
 WHEELSETS, VEHICLES = table_of(WheelsetRow), table_of(VehicleRow)
 YEAR_DAYS = 365.0
 KEPT_TABLES: Mapping[str, Kept] = {"bin tables": Kept.WINDOW_BIN_TABLES}
-HOUR_NS = 3_600_000_000_000
 LOOKED_AT_FILES = 20_000
 """Files whose size is read; of more, whole subdirectories are left out. Names are digests, so that any are like all."""
 LOOKED_AT_WHEELSETS = 50

@@ -10,7 +10,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, FromClause, Row, and_, func, or_, select, tuple_
 
 from estimation.errors import ConflictError, NotFoundError
-from estimation.motion.mileage import MOST_KM
+from estimation.motion.parameters import MOTION
 from estimation.values.geometry import BinTable, FilledCells, TableKey, WindowTable
 from estimation.values.roll_up import TabledWindow
 from estimation.values.windows import WindowKey, WindowRecord, WindowState
@@ -164,7 +164,7 @@ class BinTableStore:
             select(earlier.c.start_ns)
             .join_from(earlier, its_window, same)
             .where(*_within(earlier, asked), earlier.c.running_km.is_not(None))
-            .where(func.abs(its_window.c.mileage_km) <= MOST_KM)
+            .where(func.abs(its_window.c.mileage_km) <= MOTION.most_mileage_km)
             .order_by(earlier.c.start_ns.desc())
             .limit(1)
         )

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from sqlalchemy import delete, func, insert, select, update
 
 from estimation.errors import ParameterError, StorageError
+from estimation.values.units import DAY_NS, SECOND_NS
 from fleet_db.locks import Subject, serialise
 from fleet_db.records import ChunkState
 from fleet_db.rows import columns_of, table_of, upsert
@@ -19,7 +20,6 @@ from fleet_db.tables.recordings import ChunkRow, RawMarkRow
 
 SETTINGS, CHUNKS = table_of(StoredSettingRow), table_of(ChunkRow)
 LENGTH = "window_length_ns"
-SECOND_NS = 1_000_000_000
 
 
 class StoredSettingStore(Store):
@@ -105,7 +105,6 @@ class FeedBranchStore(Store):
 
 
 RESULTS = table_of(ResultRow)
-DAY_NS = 86_400_000_000_000
 MOST_BEHIND_NS = DAY_NS
 """How far our clock may be behind what vehicles have measured by theirs before it is the one that is wrong."""
 

@@ -27,6 +27,7 @@ from sqlalchemy import (
 )
 
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import DAY_NS
 from estimation.values.windows import (
     DueStage,
     MileageReading,
@@ -46,7 +47,6 @@ from fleet_db.tables.recordings import ChunkRow
 from fleet_db.tables.windows import WindowRow
 
 WINDOWS, CHUNKS = table_of(WindowRow), table_of(ChunkRow)
-DAY_NS = 86_400 * 10**9
 
 
 @dataclass(frozen=True, slots=True)

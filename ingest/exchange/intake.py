@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from estimation.errors import ConflictError, InputError, NotFoundError
-from estimation.motion.checks import BACKWARDS, LOOK_S, high_pass_running_mean, lateral_yaw_correlation
+from estimation.motion.checks import high_pass_running_mean, lateral_yaw_correlation
 from estimation.motion.integration import SignalParameters, integrate
+from estimation.motion.parameters import MOTION
 from estimation.values.registry import VehicleRecord
 from estimation.values.track import TrackSectionRecord
+from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
-from estimation.vehicle.vehicle_class import GRAVITY
 from fleet_db.storage import SqlUnitOfWork
 from ingest.exchange.description import AxesTable, ExchangeFile, read_description
 from ingest.exchange.run import COUNT, INTERVAL_NS, SUFFIX, ExchangeRun, RegistryFacts, read_run
@@ -56,20 +57,20 @@ class SignEvidence:
     @property
     def other_unit(self) -> bool:
         """Whether lateral and yaw go with each other, but not in magnitude: the unit of one of them is another."""
-        goes = self.lateral_yaw is not None and self.lateral_yaw >= -BACKWARDS
+        goes = self.lateral_yaw is not None and self.lateral_yaw >= -MOTION.backwards_correlation
         return goes and self.gain is not None and not 1.0 / MOST_GAIN <= self.gain <= MOST_GAIN
 
     @property
     def turned(self) -> Turned | None:
         """The signal whose sign the others contradict."""
-        roll_is_against = self.roll_high < BACKWARDS
-        if self.lateral_yaw is None or self.lateral_yaw >= BACKWARDS:
-            if roll_is_against and (self.lateral_yaw or 0.0) > -BACKWARDS:
+        roll_is_against = self.roll_high < MOTION.backwards_correlation
+        if self.lateral_yaw is None or self.lateral_yaw >= MOTION.backwards_correlation:
+            if roll_is_against and (self.lateral_yaw or 0.0) > -MOTION.backwards_correlation:
                 return Turned.ROLL
-            return Turned.MASS_LATERAL if self.mass < BACKWARDS else None
+            return Turned.MASS_LATERAL if self.mass < MOTION.backwards_correlation else None
         if roll_is_against:
             return Turned.LATERAL
-        return Turned.YAW if self.roll_low > -BACKWARDS else Turned.LATERAL_OR_YAW
+        return Turned.YAW if self.roll_low > -MOTION.backwards_correlation else Turned.LATERAL_OR_YAW
 
 
 def sign_evidence(run: ExchangeRun, axle: int, *, in_bogie: bool) -> SignEvidence:
@@ -80,7 +81,7 @@ def sign_evidence(run: ExchangeRun, axle: int, *, in_bogie: bool) -> SignEvidenc
     other one.
     """
     integrated = integrate(_window(run, axle), np.ones(len(run.tick), np.bool_), SignalParameters())
-    seconds, sums = round(LOOK_S / INTERVAL_S), np.zeros(8)
+    seconds, sums = round(MOTION.comparison_s / INTERVAL_S), np.zeros(8)
     for segment in integrated.segments:
         above = (segment.rates if in_bogie else segment.accelerations)[3]
         signals = (segment.rates[0], segment.speed * segment.displacements[1], above)

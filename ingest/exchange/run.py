@@ -24,8 +24,8 @@ import scipy.special
 from estimation.errors import ExchangeError
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.registry import MAX_AXLES
+from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS
-from estimation.vehicle.vehicle_class import GRAVITY
 from ingest.align.clock import AlignCounts, AlignedFrames, TickedValues, TimeFrames
 from ingest.catalogue import ACCELERATION, MOTION, POSITION, SYNC, VEHICLE_NODE, Catalogue, MessagePlan, SignalPlan
 from ingest.codec import FrameCounts

@@ -13,9 +13,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from estimation.errors import LogFileError
+from estimation.values.units import SECOND_NS
 from ingest.frames import DATA_BYTES, ERROR_FLAG, REMOTE_FLAG, channel_name
 from ingest.logs.log_format import FrameSink, LogFormat, ReadLimits
-from ingest.logs.text_lines import LONGEST_LINE, SECOND_NS, Facts, LineFormat, TextLog, identifier_limits, skip_mark
+from ingest.logs.text_lines import LONGEST_LINE, Facts, LineFormat, TextLog, identifier_limits, skip_mark
 
 _TIME = r"\s*(?P<seconds>\d{1,10})\.(?P<fraction>\d{1,9})\s+"
 _HEADER_LINES = 100

@@ -14,10 +14,10 @@ import numpy.typing as npt
 
 from estimation.errors import LogFileError
 from estimation.values.arrays import BoolArray, IntArray
+from estimation.values.units import DAY_NS
 from ingest.frames import DATA_BYTES, DEFAULT_CHANNEL, channel_name
 
 MEBIBYTE = 1 << 20
-DAY_NS = 86_400_000_000_000
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from estimation.errors import LogFileError
 from estimation.values.arrays import BoolArray, IntArray
+from estimation.values.units import SECOND_NS
 from ingest.frames import DATA_BYTES, EXTENDED_FLAG
 from ingest.logs.log_format import FramePart, FrameSink
 
@@ -30,7 +31,6 @@ FEWEST = 8  # lines of one length that are worth a layout
 STANDARD_BITS, EXTENDED_BITS = 0x7FF, 0x1FFF_FFFF
 LARGEST_BYTE = 0xFF
 DECIMAL, HEXADECIMAL = 10, 16
-SECOND_NS = 1_000_000_000
 LATEST_S = 1 << 32
 
 _DECIMAL = np.full(256, -1, np.int8)

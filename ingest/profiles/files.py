@@ -9,9 +9,11 @@ from typing import TypedDict, Unpack
 
 import numpy as np
 
-from estimation.contact.profiles import TREAD_DATUM, Profile, ProfileKind
+from estimation.contact.parameters import PROFILES
+from estimation.contact.profiles import Profile, ProfileKind
 from estimation.contact.smoothed_profile import SmoothedProfile
 from estimation.errors import ProfileError
+from estimation.values.units import MILLIMETRE
 from ingest.input_file import PROFILE_BYTES, read_text_within
 from ingest.profiles.formats import FORMATS
 from ingest.profiles.orientation import oriented
@@ -42,7 +44,6 @@ def parse_columns(text: str, file: str) -> FilePoints:
 
 
 _SLICES = (".slcs", ".slcw")  # CONTACT's lists of cross sections
-_MILLIMETRE = 1e-3
 
 
 class ProfileOptions(TypedDict, total=False):
@@ -82,7 +83,7 @@ def measured_profile_of(text: str, file: Path, kind: ProfileKind, **options: Unp
         raise ProfileError("is not a text file; export the profile as text", file=file)
     suffix = file.suffix.lower()
     parse = next((item.parse for item in FORMATS if suffix in item.suffixes), parse_columns)
-    noise = None if noise_std is None else noise_std / _MILLIMETRE
+    noise = None if noise_std is None else noise_std / MILLIMETRE
     origin = options.get("origin", Origin.AUTO)
     points = parse(text, str(file))
     try:
@@ -140,10 +141,10 @@ def _whole(profile: Profile, path: Path) -> Profile:
             field="y",
         )
     tip = int(np.argmax(profile.z))
-    if not -TREAD_DATUM <= profile.y[tip] <= FLANGE_END or profile.z[tip] < MIN_FLANGE_HEIGHT:
+    if not -PROFILES.tread_datum <= profile.y[tip] <= FLANGE_END or profile.z[tip] < MIN_FLANGE_HEIGHT:
         raise ProfileError(
-            f"no flange: its tip is expected between {-TREAD_DATUM * 1e3:+.0f} and {FLANGE_END * 1e3:+.0f} mm from the "
-            f"tread datum, {MIN_FLANGE_HEIGHT * 1e3:.0f} mm high or more",
+            f"no flange: its tip is expected between {-PROFILES.tread_datum * 1e3:+.0f} and"
+            f" {FLANGE_END * 1e3:+.0f} mm from the tread datum, {MIN_FLANGE_HEIGHT * 1e3:.0f} mm high or more",
             file=path,
             field="z",
         )

@@ -23,14 +23,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from estimation.contact.parameters import PROFILES
 from estimation.contact.penalised_spline import rough_noise
-from estimation.contact.profiles import GAUGE_DEPTH, TREAD_DATUM, Profile, ProfileKind
+from estimation.contact.profiles import Profile, ProfileKind
 from estimation.contact.smoothed_profile import SmoothedProfile, advancing, smoothed_profile, thinned, without_spikes
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray, IntArray
+from estimation.values.units import MILLIMETRE
 from ingest.profiles.points import FilePoints, Origin
 
-_GAUGE_DEPTH = GAUGE_DEPTH * 1e3  # mm
+_GAUGE_DEPTH = PROFILES.gauge_depth * 1e3  # mm
 _DEPTHS = np.arange(14.5, 30.1, 0.5)  # mm below the crown, where sides are straight and not worn
 _FEWEST_DEPTHS = 9
 LEAST_LEAN = 0.012  # tangent from which a head counts as leaning; rails are inclined by 1:40 to 1:20
@@ -157,7 +159,6 @@ def _continued(y: FloatArray, z: FloatArray, at: float) -> tuple[float, float, f
     return float(value), float(slope), float(np.sqrt(inverse[0, 0]))
 
 
-_MILLIMETRE = 1e-3
 _RAIL_MARGIN = 0.10
 _WHEEL_MARGIN = 0.05
 _FLANGE_BACK_WITHIN = 25.0  # mm from the tip of the flange
@@ -249,7 +250,7 @@ def _from_datum(
     if abs(tip - y[0]) > abs(y[-1] - tip):
         y, z, lines, tip = -y[::-1], z[::-1], lines[::-1], -tip
     from_back = abs(tip) <= _FLANGE_BACK_WITHIN if origin is Origin.AUTO else origin is Origin.FLANGE_BACK
-    return (y - TREAD_DATUM / _MILLIMETRE if from_back else y), z, lines
+    return (y - PROFILES.tread_datum / MILLIMETRE if from_back else y), z, lines
 
 
 def _is_mirrored(y: FloatArray, depth: FloatArray, points: FilePoints) -> bool:
@@ -288,7 +289,7 @@ def _check_span(points: FilePoints, kind: ProfileKind) -> None:
 def _check_head(y: FloatArray, depth: FloatArray) -> None:
     crown = int(np.argmin(depth))
     shoulders = min(float(depth[: crown + 1].max()), float(depth[crown:].max()))
-    width = float(np.ptp(y[depth <= GAUGE_DEPTH / _MILLIMETRE]))
+    width = float(np.ptp(y[depth <= PROFILES.gauge_depth / MILLIMETRE]))
     if not _HEAD_WIDTH[0] <= width <= _HEAD_WIDTH[1] or shoulders < _LEAST_HEAD_DEPTH:
         raise ProfileError(
             f"cannot be a rail head: {width:.1f} mm wide within 14 mm of its crown ({_HEAD_WIDTH[0]:.0f} to "
@@ -300,11 +301,11 @@ def _check_head(y: FloatArray, depth: FloatArray) -> None:
 
 def _check_wheel(wheel: Profile) -> None:
     tip = int(np.argmax(wheel.z))
-    at, end = float(wheel.y[tip]) / _MILLIMETRE, float(wheel.y[-1]) / _MILLIMETRE
-    if not _TIP_WITHIN[0] <= at <= _TIP_WITHIN[1] or wheel.z[tip] < _LEAST_FLANGE * _MILLIMETRE:
+    at, end = float(wheel.y[tip]) / MILLIMETRE, float(wheel.y[-1]) / MILLIMETRE
+    if not _TIP_WITHIN[0] <= at <= _TIP_WITHIN[1] or wheel.z[tip] < _LEAST_FLANGE * MILLIMETRE:
         raise ProfileError(
             f"no flange: its tip is expected between {_TIP_WITHIN[0]:.0f} and {_TIP_WITHIN[1]:.0f} mm from the tread "
-            f"datum, {_LEAST_FLANGE:.0f} mm high or more; the lowest point is {wheel.z[tip] / _MILLIMETRE:.1f} mm "
+            f"datum, {_LEAST_FLANGE:.0f} mm high or more; the lowest point is {wheel.z[tip] / MILLIMETRE:.1f} mm "
             f"below the tread at {at:+.1f} mm",
             field="z",
         )

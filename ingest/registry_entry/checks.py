@@ -13,6 +13,7 @@ from estimation.motion.mileage import most_km, running_mileage
 from estimation.values.reasons import utc_text
 from estimation.values.registry import Mounting, SensorChange, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
+from estimation.values.units import SECOND_NS
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.wheelset_events import MOUNTINGS, any_windows, lives_on_file, mountings_where, windows_beside
 from ingest.registry_entry.contents import Contradiction, Kind, RecordName, Rule
@@ -79,7 +80,6 @@ def unknown_profile(record: RecordName, field: str, name: str) -> list[Contradic
 
 
 TOLERANCE_KM = 1000.0  # by which books, odometers and the sums of trips may differ
-_SECOND = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +119,7 @@ def distance_contradictions(
         forward_km = entered.km - other.km if entered.at_ns >= other.at_ns else other.km - entered.km
         if forward_km < -TOLERANCE_KM or (entered.at_ns == other.at_ns and forward_km > TOLERANCE_KM):
             backwards.append(other)
-        elif forward_km > most_km(abs(entered.at_ns - other.at_ns) / _SECOND) + TOLERANCE_KM:
+        elif forward_km > most_km(abs(entered.at_ns - other.at_ns) / SECOND_NS) + TOLERANCE_KM:
             jumps.append(other)
     found = []
     faster = "would run faster than any vehicle (metres?)"

@@ -17,33 +17,28 @@ from estimation.contact.conicity import equivalent_conicity, nonlinearity_parame
 from estimation.contact.geometry import ContactTable, WheelsetOnTrack, contact_table, refined_curve
 from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.wear import TreadWear, worn, worn_rail
+from estimation.contact.wear import RailWear, TreadWear, worn, worn_rail
 from estimation.errors import ContactError, ProfileError, ScenarioError
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleParameters
 from ingest.profiles.files import read_profile, read_wheel_profile
 from ingest.simulator.campaign import VehicleRun, friction_factor, with_stretches
 from ingest.simulator.drawn_fleet import vehicle_bogie, vehicle_parameters
-from ingest.simulator.gear_rates import ROUND, Wheels
-from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
+from ingest.simulator.motion import WheelsetMotion
+from ingest.simulator.rates import ROUND, Wheels
 from ingest.simulator.running import CONTACT_STEP
 from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.scenario import Scenario, Stream, VehiclePlan, WheelsetPlan, generator
-from ingest.simulator.section import MGT_OF_GROWTH, SectionPlan
+from ingest.simulator.section import SectionPlan
 from ingest.simulator.track import TrackTruth
-
-DAYS_PER_YEAR = 365.25
 
 
 def section_at(scenario: Scenario, odometer: float) -> SectionPlan:
     """Return the section as its rails are when the vehicles' odometer stands at ``odometer``, m."""
     section, sessions = scenario.section, scenario.sessions
     days = (odometer - sessions.first_odometer) / sessions.distance_per_day
-    gained = section.rail_growth * (section.tonnage or 0.0) / MGT_OF_GROWTH * days / DAYS_PER_YEAR
-    if gained == 0.0:
-        return section
-    left, right = (one and replace(one, depth=one.depth + gained) for one in section.rail_wear)
-    return replace(section, rail_wear=(left, right))
+    wear = section.rail_wear and section.rail_wear.after(section.tonnage or 0.0, days)
+    return replace(section, rail_wear=wear)
 
 
 @lru_cache(maxsize=256)
@@ -71,9 +66,13 @@ def rails_of(section: SectionPlan) -> tuple[Profile, Profile, float]:
             rail_profile(section.rail_profile) if path is None else rail_in(path, mirror)
             for path, mirror in zip(section.rail_files, section.rail_mirrors, strict=True)
         )
-    of_left, of_right = section.rail_wear
-    left = left if of_left is None else worn_rail(left, of_left)
-    return left, right if of_right is None else worn_rail(right, of_right), inclination
+    wear = section.rail_wear
+    if wear is not None:
+        left, right = (
+            worn_rail(rail, RailWear(depth, wear.centre, wear.half_width))
+            for rail, depth in zip((left, right), wear.depths, strict=True)
+        )
+    return left, right, inclination
 
 
 AMPLITUDES = tuple(float(a) for a in np.arange(2, 21) * 0.25e-3)  # m
@@ -210,7 +209,7 @@ def displacement_limit(scenario: Scenario, track: TrackTruth) -> float:
     recipe = scenario.section.recipe
     _, widest = track.gauge_range()
     more = LIMIT_STEP * math.ceil(0.5 * max(widest, 0.0) / LIMIT_STEP - 1e-9)
-    varied = track.surface is not None or bool(scenario.running.stretches)
+    varied = track.surface is not None or bool(scenario.creep.stretches)
     if recipe is None or not recipe.plain or scenario.files or varied:
         return ROUGH_LIMIT + more
     if recipe.gauge_std > 0.0:
@@ -258,26 +257,15 @@ def axle_motions(
     track: TrackTruth,
     run: VehicleRun,
     axles: Sequence[int],
-    tables: Sequence[ContactTable | None],
+    tables: Sequence[ContactTable],
 ) -> tuple[WheelsetMotion, ...]:
-    """Return the true motion of the wheelsets at ``axles`` (from 0), which move together, over ``run``.
-
-    Contact geometry that is None is computed here.
-    """
-    found = [
-        contact_of(scenario, track, run.vehicle.wheelsets[axle], run.odometer).table if table is None else table
-        for axle, table in zip(axles, tables, strict=True)
-    ]
+    """Return the true motion of the wheelsets at ``axles`` (from 0), which move together, over ``run``."""
     start = float(run.distance[0]) - run.vehicle.axle_offsets[axles[0]]
-    contacts = [averaged(table, scenario.running.contact_half_width) for table in found]
+    contacts = [averaged(table, scenario.wheels.contact_half_width) for table in tables]
     gear = running_gear(scenario, run, axles)
-    track = with_stretches(track, scenario.running, run.campaign, gear.creep.friction)
-    if scenario.bogie is None and scenario.running.plain:
-        alone = replace(gear.parameters, nominal_radius=gear.nominal_radii[0])
-        motions: tuple[WheelsetMotion, ...] = (simulate_wheelset(alone, contacts[0], track, run.speed, start),)
-    else:
-        motions = simulate_gear(gear, contacts, track, run.speed, start)
-    for axle, table, motion in zip(axles, found, motions, strict=True):
+    track = with_stretches(track, scenario.creep, run.campaign, gear.creep.friction)
+    motions = simulate_gear(gear, contacts, track, run.speed, start)
+    for axle, table, motion in zip(axles, tables, motions, strict=True):
         at = first_climb(table, motion)
         if at is None:
             continue
@@ -295,18 +283,19 @@ def axle_motions(
 
 def running_gear(scenario: Scenario, run: VehicleRun, axles: Sequence[int]) -> RunningGear:
     """Return the true running gear of the wheelsets at ``axles`` (from 0), which move together, in one run."""
-    running = scenario.running
     parameters, bogie = true_suspension(scenario, run.vehicle, axles[0], run.campaign)
-    shares = running.shares_of_traction(len(run.vehicle.wheelsets))
-    factor = friction_factor(running, scenario.seed, run.campaign)
+    radii = tuple(run.vehicle.wheelsets[axle].nominal_radius for axle in axles)
+    if bogie is None:
+        parameters = replace(parameters, nominal_radius=radii[0])
+    shares = None if scenario.traction is None else scenario.traction.shares(len(run.vehicle.wheelsets))
+    friction = min(friction_factor(scenario, run.campaign) * scenario.creep.friction, 1.0)
     return RunningGear(
         parameters=parameters,
         bogie=bogie,
-        creep=replace(running.creep, friction=min(factor * running.creep.friction, 1.0)),
-        wheels=_wheels(scenario, run, axles) if running.out_of_round else ROUND,
-        traction=tuple(shares[axle] for axle in axles) if running.traction else None,
-        braking=(1.0,) * len(axles) if running.traction else None,
-        nominal_radii=tuple(run.vehicle.wheelsets[axle].nominal_radius for axle in axles),
+        creep=replace(scenario.creep, friction=friction),
+        wheels=tuple(_wheels(scenario, run, axle) if scenario.wheels.out_of_round else ROUND for axle in axles),
+        traction=None if shares is None else tuple(shares[axle] for axle in axles),
+        nominal_radii=radii,
     )
 
 
@@ -323,11 +312,10 @@ def true_suspension(
     return parameters, replace(bogie, secondary_lateral_damping=weak.share * bogie.secondary_lateral_damping)
 
 
-def _wheels(scenario: Scenario, run: VehicleRun, axles: Sequence[int]) -> Wheels:
-    key = scenario.seed, Stream.OUT_OF_ROUND, scenario.vehicles.index(run.vehicle)
-    drawn = [generator(*key, axle, run.campaign).uniform(0.0, 2.0 * np.pi, 2) for axle in (axles[0], axles[-1])]
-    a, b, c, d = np.concatenate(drawn).tolist()
-    return Wheels((scenario.running.out_of_round,) * 4, (a, b, c, d))
+def _wheels(scenario: Scenario, run: VehicleRun, axle: int) -> Wheels:
+    rng = generator(scenario.seed, Stream.OUT_OF_ROUND, scenario.vehicles.index(run.vehicle), axle, run.campaign)
+    left, right = rng.uniform(0.0, 2.0 * np.pi, 2).tolist()
+    return Wheels((scenario.wheels.out_of_round,) * 2, (left, right))
 
 
 def averaged(table: ContactTable, half_width: float) -> ContactTable:
@@ -349,7 +337,7 @@ def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odomet
     """Return the contact geometry of a wheelset at one mileage of its vehicle."""
     gauges, limit = gauge_grid(track), displacement_limit(scenario, track)
     with _named(scenario, plan):
-        section, step = section_at(scenario, odometer), scenario.running.contact_step
+        section, step = section_at(scenario, odometer), scenario.wheels.contact_step
         return worn_contact(plan, wear_at(plan, odometer), section, gauges, limit, step)
 
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from estimation.errors import ScenarioError
 from estimation.values.arrays import BoolArray, IntArray
+from estimation.values.units import SECOND_NS
 from estimation.values.windows import ACCELERATIONS
 from ingest import catalogue as kinds
 from ingest.catalogue import Catalogue, MessagePlan, sync_counter, time_of_day
@@ -21,7 +22,6 @@ from ingest.simulator.motion import STEP
 from ingest.simulator.scenario import NORMAL_REACH, BusPlan, FaultKind, Scenario, Stream, generator
 from ingest.simulator.sensors import SensorRecord
 
-SECOND_NS = 1_000_000_000
 SLOT_NS = 230_000  # time on a 500 kbit/s bus of a frame with 8 bytes, stuffing included
 FRAME_BITS = 47  # base format, with the space between frames
 STUFFING = 1.035  # a bit in 29: recorded traffic has less than the one in 5 that is possible
@@ -127,7 +127,7 @@ def vehicle_frames(
     Records are what the node of each axle measured; None of one that has failed.
     """
     interval_ns = catalogue.sample_interval_ns
-    if scenario.sensors.rate_hz * interval_ns != 1_000_000_000:  # noqa: PLR2004 - ns in a second
+    if scenario.sensors.rate_hz * interval_ns != SECOND_NS:
         raise ScenarioError(
             f"the bus samples every {interval_ns / 1e6:g} ms, not at {scenario.sensors.rate_hz} Hz",
             field="sensors.rate_hz",

@@ -19,7 +19,7 @@ from estimation.errors import ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray, FrozenArrays
 from ingest.simulator.irregularity import Waves, superpose
 from ingest.simulator.motion import STEP, WheelsetMotion, travelled
-from ingest.simulator.running import CONTACT_STEP, STRETCH_END, FrictionPlan, RunningPlan, with_flat, with_track_blows
+from ingest.simulator.running import CONTACT_STEP, STRETCH_END, CreepPlan, with_flat, with_track_blows
 from ingest.simulator.scenario import (
     NORMAL_REACH,
     Scenario,
@@ -37,45 +37,44 @@ RAIL_DISTANCE = 1.5  # m, over which cross level is measured (EN 13848-1)
 LEAST_LOAD = 0.2  # of the mean: wheels stay on the rails
 
 
-def with_surface(track: TrackTruth, plan: RunningPlan, seed: int) -> TrackTruth:
+def with_surface(track: TrackTruth, scenario: Scenario) -> TrackTruth:
     """Return the track with what the scenario draws along it; each has a random stream of its own."""
-    if not plan.changes_the_track:
+    section, creep, seed = scenario.section, scenario.creep, scenario.seed
+    if section.cross_level is None and section.load_variation is None and not creep.varies:
         return track
     n = len(track.s)
     roll, friction, load = np.zeros(n), np.ones(n), np.ones(n)
-    if plan.cross_level is not None:
-        roll = _drawn(track, plan.cross_level, generator(seed, Stream.CROSS_LEVEL), "cross_level") / RAIL_DISTANCE
-    if plan.friction is not None:
-        friction = friction_along(plan.friction, n, track.interval, generator(seed, Stream.FRICTION))
-        friction = friction / plan.creep.friction
-    if plan.load_variation is not None:
-        varied = 1.0 + _drawn(track, plan.load_variation, generator(seed, Stream.LOAD), "load_variation")
+    if section.cross_level is not None:
+        roll = _drawn(track, section.cross_level, generator(seed, Stream.CROSS_LEVEL), "cross_level") / RAIL_DISTANCE
+    if creep.varies:
+        friction = friction_along(creep, n, track.interval, generator(seed, Stream.FRICTION)) / creep.friction
+    if section.load_variation is not None:
+        varied = 1.0 + _drawn(track, section.load_variation, generator(seed, Stream.LOAD), "load_variation")
         load = np.maximum(varied, LEAST_LOAD)
     return replace(track, surface=Surface(roll, friction, load))
 
 
-def friction_along(plan: FrictionPlan, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
+def friction_along(creep: CreepPlan, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
     """Return the coefficient of friction (n,): every value between the limits is as frequent, changes are smooth."""
-    width = plan.correlation / interval
+    (lowest, highest), width = creep.limits, creep.correlation / interval
     reach = int(np.ceil(4.0 * width))
     smooth = gaussian_filter1d(rng.standard_normal(n + 2 * reach), width, mode="wrap")[reach : reach + n]
     scale = np.sqrt(2.0 * np.sqrt(np.pi) * width)  # of white noise that is smoothed so
-    return np.asarray(plan.lowest + (plan.highest - plan.lowest) * ndtr(scale * smooth))
+    return np.asarray(lowest + (highest - lowest) * ndtr(scale * smooth))
 
 
-def friction_factor(plan: RunningPlan, seed: int, campaign: int) -> float:
+def friction_factor(scenario: Scenario, campaign: int) -> float:
     """Return by what the coefficient of friction is multiplied in a campaign (from 0): rails are dry, wet or dirty."""
-    if plan.friction is None or plan.friction.campaign_std == 0.0:
-        return 1.0
-    return float(np.exp(plan.friction.campaign_std * generator(seed, Stream.FRICTION, campaign).standard_normal()))
+    std = scenario.creep.campaign_std
+    return float(np.exp(std * generator(scenario.seed, Stream.FRICTION, campaign).standard_normal()))
 
 
-def with_stretches(track: TrackTruth, plan: RunningPlan, campaign: int, mean_friction: float) -> TrackTruth:
+def with_stretches(track: TrackTruth, creep: CreepPlan, campaign: int, mean_friction: float) -> TrackTruth:
     """Return the track of one campaign: with the stretches of another friction that there are by then.
 
     The friction of the track is over ``mean_friction``.
     """
-    there = [one for one in plan.stretches if campaign + 1 >= one.from_campaign]
+    there = [one for one in creep.stretches if campaign + 1 >= one.from_campaign]
     if not there:
         return track
     flat = np.ones(len(track.s))
@@ -160,7 +159,7 @@ def scenario_track(scenario: Scenario) -> TrackTruth:
     else:
         assert section.recipe is not None
         track = make_track(with_margins(scenario, section.recipe), seed_of(scenario.seed, Stream.TRACK))
-    return with_surface(track, scenario.running, scenario.seed)
+    return with_surface(track, scenario)
 
 
 def with_margins(scenario: Scenario, recipe: TrackRecipe) -> TrackRecipe:
@@ -237,19 +236,19 @@ def wheelset_record(scenario: Scenario, run: VehicleRun, axle: int, motion: Whee
         node = generator(scenario.seed, Stream.NODE_ERRORS, order, axle)
         temperature = generator(scenario.seed, Stream.TEMPERATURE, order, axle, run.campaign)
         errors = draw_node_errors(scenario.sensors.errors, node, temperature)
-    narrow = scenario.running.contact_step < CONTACT_STEP
+    narrow = scenario.wheels.contact_step < CONTACT_STEP
     motion = _with_blows(scenario, run, axle, motion)
     return measure(motion, scenario.sensors, rng, offsets, errors, short_pulses=narrow)
 
 
 def _with_blows(scenario: Scenario, run: VehicleRun, axle: int, motion: WheelsetMotion) -> WheelsetMotion:
     order, wheelset = scenario.vehicles.index(run.vehicle), run.vehicle.wheelsets[axle]
-    for flat in scenario.running.flats:
+    for flat in scenario.wheels.flats:
         if flat.wheelset == wheelset.serial and run.campaign + 1 >= flat.from_campaign:
             rng = generator(scenario.seed, Stream.WHEEL_FLAT, order, axle, run.campaign)
             ahead = replace(flat, left=not flat.left) if runs_rear_first(scenario, run.campaign) else flat
             motion = with_flat(motion, ahead, wheelset.nominal_radius, rng)
-    blows = scenario.running.track_blows
+    blows = scenario.section.blows
     return motion if blows is None else with_track_blows(motion, blows)
 
 

@@ -13,12 +13,13 @@ from typing import Annotated, Self, TypeVar
 import numpy as np
 from annotated_types import Interval, Len
 
-from estimation.contact.wear import WearFamily, wear_course
+from estimation.contact.wear import TreadWear, WearFamily, wear_course
 from estimation.errors import ScenarioError
 from estimation.values.arrays import FloatArray
 from estimation.values.fields import KM, KM_H, MM, FileUnit, Key
 from estimation.values.registry import MAX_AXLES
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, GRAVITY, Arrangement, BogieParameters, VehicleParameters
+from estimation.values.units import GRAVITY
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, Arrangement, BogieParameters, VehicleParameters
 from ingest.file_value import FileBeside, IncreasingPlaces, Inline, between, taken
 from ingest.input_file import NotNegative, Positive, Text, field_error
 from ingest.simulator.drawn_plan import DrawnFleet, ProfilePair, Wear, WearDistribution
@@ -161,7 +162,7 @@ def _wheelset(scenario: Scenario, fleet: DrawnFleet, seed: int, rank: int) -> Wh
     smaller, uneven = generator(seed, Stream.DIAMETER, rank).standard_normal(2)
     files: tuple[SideFiles, ...] = pair.wheel_files or ((None, None),)
     place = int(generator(seed, Stream.WHEEL, rank).integers(len(files))) if pair.wheels_drawn else rank
-    course = wear_course(WearFamily.S1002_ON_60E1 if "1002" in pair.wheel_profile else WearFamily.P8_ON_56E1, 0.0)
+    course = _usual_wear(pair.wheel_profile)
     return WheelsetPlan(
         serial=drawn_serial(rank),
         wheel_profile=pair.wheel_profile,
@@ -179,6 +180,10 @@ def _wheelset(scenario: Scenario, fleet: DrawnFleet, seed: int, rank: int) -> Wh
         fault=None,
         wheel_files=files[place % len(files)],
     )
+
+
+def _usual_wear(wheel_profile: str) -> TreadWear:
+    return wear_course(WearFamily.S1002_ON_60E1 if "1002" in wheel_profile else WearFamily.P8_ON_56E1, 0.0)
 
 
 def _depth(fleet: DrawnFleet, pair: ProfilePair, rank: int, rng: np.random.Generator) -> float:
@@ -280,7 +285,7 @@ class WheelsetTable:
 
     def plan(self, radius: float) -> WheelsetPlan:
         """Return the wheelset; where wear is not located, as measured on such wheels."""
-        course = wear_course(WearFamily.S1002_ON_60E1 if "1002" in self.wheel_profile else WearFamily.P8_ON_56E1, 0.0)
+        course = _usual_wear(self.wheel_profile)
         centre, half_width = self.wear_centre, self.wear_half_width
         initial_left, initial_right = self.initial_wear_left, self.initial_wear_right
         return taken(

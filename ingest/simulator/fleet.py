@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from estimation.errors import ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray
+from estimation.values.units import SECOND_NS
 from ingest.catalogue import default_catalogue
 from ingest.frames import FrameBatch
 from ingest.live.listening import send
@@ -249,7 +250,8 @@ def _group(
             seen, vehicle = seen_from_ahead(scenario, plan)
             ahead = replace(run, vehicle=vehicle, distance=run.distance + length_ahead(plan))
             places = tuple(len(vehicle.wheelsets) - 1 - axle for axle in reversed(group))
-            motions = axle_motions(seen, track, ahead, places, [None] * len(places))[::-1]
+            turned = [contact_of(seen, track, vehicle.wheelsets[place], run.odometer).table for place in places]
+            motions = axle_motions(seen, track, ahead, places, turned)[::-1]
         else:
             motions = axle_motions(scenario, track, run, group, [contact.table for contact in contacts])
         for found, axle, motion, works in zip(records, group, motions, working, strict=True):
@@ -281,7 +283,7 @@ def _write(
     batch: FrameBatch,
     truths: tuple[WheelsetTruth, ...],
 ) -> Recording:
-    start = datetime.fromtimestamp(scenario.start_ns(vehicle, campaign) // 1_000_000_000, tz=UTC).strftime(STAMP)
+    start = datetime.fromtimestamp(scenario.start_ns(vehicle, campaign) // SECOND_NS, tz=UTC).strftime(STAMP)
     path = out / vehicle.code / f"{vehicle.code}__{start}.blf"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_blf(path, batch)

@@ -18,20 +18,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Annotated, NamedTuple, Self
 
 import numpy as np
 from annotated_types import Interval
 
+from estimation.compiled import compiled
 from estimation.values.arrays import FloatArray
 from estimation.values.fields import MM, PERCENT, FileDefault, Key, M
 from ingest.file_value import Counted, between, written
 from ingest.input_file import NotNegative, Positive, Text, field_error
-from ingest.simulator.irregularity import Waves
 from ingest.simulator.motion import WheelsetMotion
-from ingest.simulator.rates import stepped
 
 
 class CreepLaw(IntEnum):
@@ -55,7 +54,6 @@ class CreepConstants(NamedTuple):
     slip: float  # kS
     residual: float  # A, friction at large slip velocity over mu0
     decay: float  # B, s/m
-    free_rolling: bool = False  # whether the angular velocity of the wheels is a state, or V/r0
 
 
 Share = Annotated[float, Interval(gt=0.0, le=1.0)]
@@ -84,7 +82,7 @@ class Creep:
         return CreepConstants(int(self.law), self.friction, self.adhesion, self.slip, self.residual, self.decay)
 
 
-@stepped
+@compiled(nogil=True, error_model="numpy")
 def share_of_linear(c: CreepConstants, linear: float, bound: float, slip_velocity: float) -> float:
     """Return by what factor (0 to 1) a law, not the linear one, multiplies the linear creep forces of one wheel.
 
@@ -165,16 +163,6 @@ def blow() -> FloatArray:
 CONTACT_STEP = 0.05e-3  # m of lateral displacement between the points of a contact table
 
 
-@dataclass(frozen=True, slots=True)
-class FrictionPlan:
-    """The coefficient of friction: drawn smoothly between two limits along the section, and by campaign."""
-
-    lowest: float
-    highest: float
-    correlation: float  # m over which it changes
-    campaign_std: float = 0.0  # of the logarithm of a factor drawn per campaign
-
-
 STRETCH_END = 5.0  # m at each end of a stretch over which friction changes to that of the stretch
 SHORTEST_STRETCH = 2.0 * STRETCH_END  # m: its friction is reached somewhere
 
@@ -197,14 +185,14 @@ class FrictionStretch:
 
 
 @dataclass(frozen=True, slots=True)
-class CreepTable(Creep):
-    """``[creep]``."""
+class CreepPlan(Creep):
+    """``[creep]``: the law, and how friction is drawn, smoothly between two limits and by campaign."""
 
     lowest_friction: Share | None = None
     highest_friction: Share | None = None
-    correlation: Annotated[Positive, M] = 100.0
-    campaign_std: Annotated[float, between(0.0, 100.0), PERCENT] = 0.0
-    stretches: tuple[FrictionStretch, ...] = ()
+    correlation: Annotated[Positive, M] = 100.0  # along the section, over which friction changes
+    campaign_std: Annotated[float, between(0.0, 100.0), PERCENT] = 0.0  # of the logarithm of a factor per campaign
+    stretches: tuple[FrictionStretch, ...] = ()  # of another friction; where they overlap the last one holds
 
     def of_file(self, given: Collection[str]) -> Self:
         """Refuse what has no effect; the friction of the law is the mean where it varies."""
@@ -225,60 +213,36 @@ class CreepTable(Creep):
             raise field_error("is above 'adhesion_factor'", "slip_factor")
         return self if low is None or high is None else replace(self, friction=0.5 * (low + high))
 
-    def friction_plan(self) -> FrictionPlan | None:
-        """Return how friction varies; None where it does not."""
-        if self.lowest_friction is None and self.campaign_std == 0.0:
-            return None
-        low, high = self.lowest_friction or self.friction, self.highest_friction or self.friction
-        return FrictionPlan(low, high, self.correlation, self.campaign_std)
+    @property
+    def varies(self) -> bool:
+        """Whether friction is drawn along the section, or by campaign."""
+        return self.lowest_friction is not None or self.campaign_std > 0.0
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The lowest and the highest friction along the section."""
+        return self.lowest_friction or self.friction, self.highest_friction or self.friction
 
 
 @dataclass(frozen=True, slots=True)
-class WheelsTable:
+class WheelsPlan:
     """``[wheels]``."""
 
-    out_of_round: Annotated[float, between(0.0, 2.0), MM] = 0.0
+    out_of_round: Annotated[float, between(0.0, 2.0), MM] = 0.0  # amplitude of every wheel; phases are drawn
     contact_half_width: Annotated[float, between(0.0, 5.0), MM] = 0.0
+    """Of lateral displacement, over which the contact is averaged."""
     contact_step: Annotated[float, between(0.001, 0.2), MM] = CONTACT_STEP
+    """Between points of a contact table: a contact jump is a ramp as wide."""
     flats: tuple[WheelFlat, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class TractionTable:
-    """``[traction]``."""
+class TractionPlan:
+    """``[traction]``: axles pull and brake as the speed changes."""
 
-    driven_axles: tuple[Counted, ...] = ()
+    driven_axles: tuple[Counted, ...] = ()  # from 1; empty: all
 
-
-@dataclass(frozen=True, slots=True)
-class RunningPlan:
-    """What is physically more than one wheelset on linear creep and level track; the defaults add nothing."""
-
-    creep: Creep = field(default_factory=Creep)
-    friction: FrictionPlan | None = None  # None: that of ``creep`` everywhere
-    cross_level: Waves | None = None
-    load_variation: Waves | None = None  # std over the mean load
-    out_of_round: float = 0.0  # m, amplitude of every wheel; phases are drawn
-    traction: bool = False  # whether axles pull and brake as the speed changes
-    driven_axles: tuple[int, ...] = ()  # from 1; empty: all
-    contact_half_width: float = 0.0  # m of lateral displacement over which the contact is averaged
-    contact_step: float = CONTACT_STEP  # m between points of a contact table: a contact jump is a ramp as wide
-    stretches: tuple[FrictionStretch, ...] = ()  # of another friction; where they overlap the last one holds
-    flats: tuple[WheelFlat, ...] = ()
-    track_blows: TrackBlows | None = None
-
-    @property
-    def changes_the_track(self) -> bool:
-        """Whether the track has more than alignment, gauge and curves."""
-        return not (self.friction is None and self.cross_level is None and self.load_variation is None)
-
-    @property
-    def plain(self) -> bool:
-        """Whether Eq. 1-5 of one wheelset hold as they are."""
-        linear = self.creep.law is CreepLaw.LINEAR
-        return linear and not (self.changes_the_track or self.out_of_round or self.traction)
-
-    def shares_of_traction(self, axles: int) -> tuple[float, ...]:
+    def shares(self, axles: int) -> tuple[float, ...]:
         """Return the traction of each of ``axles`` axles over that of an even distribution."""
         driven = self.driven_axles or range(1, axles + 1)
         working = [axle in driven for axle in range(1, axles + 1)]

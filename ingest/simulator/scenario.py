@@ -15,12 +15,13 @@ from annotated_types import Interval
 
 from estimation.errors import ScenarioError
 from estimation.values.fields import KM, M_S, M_S2, MINUTES, MS, PERCENT, US, FileUnit, Key, M, S
+from estimation.values.units import DAY_NS, SECOND_NS
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass, VehicleParameters
 from ingest.file_value import Counted, between, written
 from ingest.input_file import NotNegative, Positive, field_error
 from ingest.simulator.drawn_plan import DrawnFleet
 from ingest.simulator.motion import MINIMUM_SPEED
-from ingest.simulator.running import RunningPlan
+from ingest.simulator.running import CreepPlan, TractionPlan, WheelsPlan
 from ingest.simulator.section import SectionPlan, SideFiles
 from ingest.simulator.sensors import SensorNode
 
@@ -43,8 +44,6 @@ class ClassOnFile:
         return tuple(round(middle + side * half, 6) for middle in middles for side in (-1.0, 1.0))
 
 
-DAY_NS = 86_400_000_000_000
-SECOND_NS = 1_000_000_000
 _AXLE_SPACING = 2.6  # m
 BOGIE_SPACING = 19.0  # m between the middles of two bogies
 NORMAL_REACH = 3.0  # standard deviations that a normal error of the position is at most
@@ -254,7 +253,9 @@ class Scenario:
     vehicle_errors: VehicleErrors | None = None  # None: vehicles have ``parameters`` exactly
     bogie: BogieParameters | None = None  # None: single wheelsets
     class_on_file: ClassOnFile | None = None  # None: that of ``parameters``
-    running: RunningPlan = field(default_factory=RunningPlan)
+    creep: CreepPlan = field(default_factory=CreepPlan)
+    wheels: WheelsPlan = field(default_factory=WheelsPlan)
+    traction: TractionPlan | None = None  # None: the speed is forced, and uses no creep
 
     @property
     def pair(self) -> str:

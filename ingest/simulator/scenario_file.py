@@ -14,17 +14,17 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated, Self
 
+from estimation.contact.parameters import PROFILES
 from estimation.contact.profiles import Profile
-from estimation.contact.wear import DEEPEST_BAND
 from estimation.errors import ProfileError, ScenarioError
 from estimation.values.fields import MM
 from ingest.file_value import As, FileBeside, between, read_value, taken
 from ingest.input_file import Location, Text, field_error, read_toml
-from ingest.simulator.axle_motion import DAYS_PER_YEAR, rail_in, wheel_in
+from ingest.simulator.axle_motion import rail_in, wheel_in
 from ingest.simulator.campaign import MARGIN
 from ingest.simulator.drawn_fleet import DynamicsTable, VehicleTable, drawn_serial, impossible_bogies, with_seed
 from ingest.simulator.drawn_plan import DrawnFleet
-from ingest.simulator.running import Creep, CreepTable, RunningPlan, TractionTable, WheelsTable
+from ingest.simulator.running import CreepPlan, TractionPlan, WheelsPlan
 from ingest.simulator.scenario import (
     BusPlan,
     ClassOnFile,
@@ -34,7 +34,7 @@ from ingest.simulator.scenario import (
     SpeedRange,
     VehicleErrors,
 )
-from ingest.simulator.section import RailFiles, SectionTable
+from ingest.simulator.section import RailFiles, SectionPlan
 from ingest.simulator.sensors import SensorNode, SensorsTable
 from ingest.vehicle_class_schema import read_vehicle_class, shipped_classes, shipped_path
 
@@ -82,7 +82,7 @@ class ScenarioTable:
     seed: Annotated[int, between(0, MAX_SEED)]
     fleet: FleetTable
     dynamics: DynamicsTable = field(default_factory=DynamicsTable)
-    section: SectionTable
+    section: SectionPlan
     speed: SpeedRange
     sensors: Annotated[SensorNode, As(SensorsTable)] = field(default_factory=lambda: SensorsTable().plan())
     position: PositionErrors = field(default_factory=PositionErrors)
@@ -92,9 +92,9 @@ class ScenarioTable:
     drawn_fleet: DrawnFleet | None = None
     vehicle_errors: VehicleErrors | None = None
     class_on_file: ClassOnFileTable | None = None
-    creep: CreepTable = field(default_factory=CreepTable)
-    wheels: WheelsTable = field(default_factory=WheelsTable)
-    traction: TractionTable | None = None
+    creep: CreepPlan = field(default_factory=CreepPlan)
+    wheels: WheelsPlan = field(default_factory=WheelsPlan)
+    traction: TractionPlan | None = None
 
     def of_file(self, given: Collection[str]) -> Self:
         """Refuse what tables contradict each other in."""
@@ -178,7 +178,7 @@ class ScenarioTable:
             raise field_error(reason, "section", "length_m")
 
     def _check_growth_of_rail_wear(self) -> None:
-        wear, place = self.section.rail_wear_of_file, ("section", "rail_wear", "growth_mm_per_100_mgt")
+        wear, place = self.section.rail_wear, ("section", "rail_wear", "growth_mm_per_100_mgt")
         if wear is None or wear.growth == 0.0:
             return
         if self.section.tonnage is None:
@@ -186,9 +186,10 @@ class ScenarioTable:
         if self.drawn_fleet is not None:
             raise field_error("the rails under a drawn fleet do not wear", *place)
         days = (self.sessions.campaigns - 1) * self.sessions.distance_between / self.sessions.distance_per_day
-        deepest = wear.deepest(self.section.tonnage * days / DAYS_PER_YEAR)
-        if deepest > DEEPEST_BAND:
-            reason = f"the last campaign is on bands {1e3 * deepest:.1f} mm deep; at most {1e3 * DEEPEST_BAND:g} mm"
+        deepest = max(wear.after(self.section.tonnage, days).depths)
+        if deepest > PROFILES.deepest_band:
+            most = 1e3 * PROFILES.deepest_band
+            reason = f"the last campaign is on bands {1e3 * deepest:.1f} mm deep; at most {most:g} mm"
             raise field_error(reason, *place)
 
     def scenario(self) -> Scenario:
@@ -202,29 +203,13 @@ class ScenarioTable:
             fleet_code=self.fleet.code,
             fleet_name=self.fleet.name,
             parameters=parameters,
-            section=self.section.plan(),
             sessions=sessions,
             vehicles=tuple(vehicle.plan(parameters.nominal_radius, bogie) for vehicle in self.vehicles),
             drawn=self.drawn_fleet,
             bogie=bogie,
             class_on_file=None if self.class_on_file is None else self.class_on_file.plan(),
-            running=self._running(),
         )
         return with_seed(scenario, self.seed)
-
-    def _running(self) -> RunningPlan:
-        return taken(
-            RunningPlan,
-            self.wheels,
-            creep=taken(Creep, self.creep),
-            friction=self.creep.friction_plan(),
-            cross_level=self.section.cross_level,
-            load_variation=self.section.load_variation,
-            traction=self.traction is not None,
-            driven_axles=() if self.traction is None else self.traction.driven_axles,
-            stretches=self.creep.stretches,
-            track_blows=self.section.blows,
-        )
 
 
 def builtin_scenarios() -> tuple[str, ...]:

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Self
 
 from annotated_types import Interval
 from pydantic import AfterValidator
 
+from estimation.contact.parameters import PROFILES
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.wear import DEEPEST_BAND, RailWear
 from estimation.errors import ProfileError
 from estimation.values.fields import DEG, MM, FileUnit, Key, M
-from ingest.file_value import As, FileBeside, Inline, between, keys_of, taken
+from ingest.file_value import As, FileBeside, Inline, between, keys_of
 from ingest.input_file import NotNegative, Positive, Text, field_error
 from ingest.simulator.irregularity import FEWEST_INTERVALS, CrossLevel, IsolatedKind, LoadVariation, Waves
 from ingest.simulator.running import TrackBlows
 from ingest.simulator.track import TrackRecipe
 
+DAYS_PER_YEAR = 365.25
 MGT_OF_GROWTH = 100.0  # million gross tonnes, by which growth of rail wear is given
 LEAST_RUN = 5.0  # of an inclination 1 in so many
 
@@ -92,12 +93,12 @@ class RailFiles:
         return self.rail_left_file_mirror, self.rail_right_file_mirror
 
 
-Depth = Annotated[float, between(0.0, DEEPEST_BAND / 1e-3), MM]
+Depth = Annotated[float, between(0.0, PROFILES.deepest_band / 1e-3), MM]
 
 
 @dataclass(frozen=True, slots=True)
-class RailWearTable:
-    """``[section.rail_wear]``."""
+class WornRails:
+    """``[section.rail_wear]``: a band on each rail; not on file."""
 
     depth: Depth
     depth_left: Depth | None = None
@@ -105,11 +106,19 @@ class RailWearTable:
     centre: Annotated[float, between(-40.0, 40.0), MM] = 0.0
     half_width: Annotated[Positive, MM] = 1e-3 * 25.0
     growth: Annotated[NotNegative, FileUnit("", 1e-3), Key("growth_mm_per_100_mgt")] = 0.0
+    """m of depth by 100 million gross tonnes, from the first campaign on."""
 
-    def deepest(self, traffic_mgt: float) -> float:
-        """Return the depth of the deeper band after some traffic, m."""
-        deeper = max(side for side in (self.depth, self.depth_left, self.depth_right) if side is not None)
-        return deeper + self.growth * traffic_mgt / MGT_OF_GROWTH
+    @property
+    def depths(self) -> tuple[float, float]:
+        """Depth of the band on the left and on the right rail, m."""
+        left, right = (self.depth if side is None else side for side in (self.depth_left, self.depth_right))
+        return left, right
+
+    def after(self, tonnage: float, days: float) -> Self:
+        """Return the wear after so many days with so many million gross tonnes a year."""
+        gained = self.growth * tonnage / MGT_OF_GROWTH * days / DAYS_PER_YEAR
+        left, right = self.depths
+        return replace(self, depth_left=left + gained, depth_right=right + gained)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,29 +163,19 @@ class SectionPlan(RailFiles):
     survey: SurveyPlan = field(default_factory=SurveyPlan)
     recipe: Annotated[TrackRecipe | None, Inline(TrackRecipe)] = None
     file: FileBeside | None = None
-    rail_wear: Annotated[tuple[RailWear | None, RailWear | None], Key(None)] = (None, None)
-    """Of left and right rail; not on file."""
-    rail_growth: Annotated[float, Key(None)] = 0.0
-    """m of depth by 100 million gross tonnes, from the first campaign on; not on file."""
+    rail_wear: WornRails | None = None
     tonnage: Annotated[Positive, Key("tonnage_mgt_per_year")] | None = None  # million gross tonnes a year, on file
+    cross_level: Annotated[Waves, As(CrossLevel)] | None = None
+    load_variation: Annotated[Waves, As(LoadVariation)] | None = None  # std over the mean load
+    blows: TrackBlows | None = None
 
     @property
     def file_inclination(self) -> float:
         """The inclination given to rails of which one or both are from files, as a tangent."""
         return self.inclination if self.built_inclination is None else self.built_inclination
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SectionTable(SectionPlan):
-    """``[section]``: with what the scenario has elsewhere."""
-
-    cross_level: Annotated[Waves, As(CrossLevel)] | None = None
-    load_variation: Annotated[Waves, As(LoadVariation)] | None = None
-    blows: TrackBlows | None = None
-    rail_wear_of_file: Annotated[RailWearTable | None, Key("rail_wear")] = None
-
     def of_file(self, given: Collection[str]) -> Self:
-        """Refuse what contradicts itself; the wear of the rails is that of the file."""
+        """Refuse what contradicts itself."""
         self.check_rails()
         if self.file is None:
             _check_recipe(self.recipe)
@@ -191,15 +190,6 @@ class SectionTable(SectionPlan):
         if self.recipe is not None:
             _check_curves(self.recipe)
         return self
-
-    def plan(self) -> SectionPlan:
-        """Return the section."""
-        wear = self.rail_wear_of_file
-        if wear is None:
-            return taken(SectionPlan, self)
-        depths = (wear.depth if one is None else one for one in (wear.depth_left, wear.depth_right))
-        left, right = (RailWear(depth, wear.centre, wear.half_width) for depth in depths)
-        return taken(SectionPlan, self, rail_wear=(left, right), rail_growth=wear.growth)
 
 
 def _check_recipe(recipe: TrackRecipe | None) -> None:

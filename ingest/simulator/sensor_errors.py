@@ -13,7 +13,8 @@ import numpy as np
 import scipy.signal
 
 from estimation.values.arrays import FloatArray, FrozenArrays
-from estimation.vehicle.vehicle_class import GRAVITY
+from estimation.values.units import GRAVITY
+from ingest.simulator.motion import STEP
 
 AXES = 3  # x forward, y left, z up; rotations about them: roll, pitch, yaw
 CHANNELS = 4
@@ -108,21 +109,19 @@ def in_sensor_axes(true: FloatArray, longitudinal: FloatArray, errors: NodeError
     )
 
 
-def sampled_late(signals: FloatArray, skew: float, step: float) -> FloatArray:
+def sampled_late(signals: FloatArray, skew: float) -> FloatArray:
     """Return signals (m, n) as a node sees them that samples ``skew`` s late, early where that is negative.
 
     Linear between samples, ends held.
     """
     at = np.arange(signals.shape[1], dtype=np.float64)
-    return np.stack([np.interp(at + skew / step, at, signal) for signal in signals])
+    return np.stack([np.interp(at + skew / STEP, at, signal) for signal in signals])
 
 
-def vibration_of(vibration: Vibration, count: int, step: float, rng: np.random.Generator) -> FloatArray:
+def vibration_of(vibration: Vibration, count: int, rng: np.random.Generator) -> FloatArray:
     """Return the vibration (4, count) of the channels: normal, band-limited, each for itself."""
-    rate = 1.0 / step
-    band = scipy.signal.butter(
-        ORDER, (vibration.lowest_hz, vibration.highest_hz), btype="bandpass", fs=rate, output="sos"
-    )
+    frequencies = (vibration.lowest_hz, vibration.highest_hz)
+    band = scipy.signal.butter(ORDER, frequencies, btype="bandpass", fs=1.0 / STEP, output="sos")
     _, response = scipy.signal.sosfreqz(band, 1 << 14)
     gain = float(np.sqrt(np.mean(np.abs(response) ** 2)))  # of white noise
     out = np.zeros((CHANNELS, count))

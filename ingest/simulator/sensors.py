@@ -20,12 +20,11 @@ from pydantic import AfterValidator
 
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.fields import MS, PERCENT, FileUnit, Key
+from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS
-from estimation.vehicle.vehicle_class import GRAVITY
 from ingest.file_value import between
 from ingest.input_file import NotNegative, Positive, Text, field_error, refusing
-from ingest.simulator.motion import STEP, WheelsetMotion
-from ingest.simulator.rates import time_derivative
+from ingest.simulator.motion import STEP, WheelsetMotion, time_derivative
 from ingest.simulator.sensor_errors import (
     NodeErrors,
     SensorErrors,
@@ -151,21 +150,20 @@ def _true_signals(
 ) -> list[FloatArray]:
     """Return what the transducers are exposed to, four signals (n,) in the order of ``ACCELERATIONS``."""
     if short_pulses:
-        signals = [time_derivative(getattr(motion, name), STEP) for name in VELOCITIES]
+        signals = [time_derivative(getattr(motion, name)) for name in VELOCITIES]
     else:
         signals = [np.asarray(getattr(motion, name)) for name in ACCELERATIONS]
     if motion.path_accelerations is not None:
         signals = [signal + path for signal, path in zip(signals, motion.path_accelerations, strict=True)]
     if node.measures_gravity:
-        mass_roll = motion.roll if motion.mass_roll is None else motion.mass_roll
-        signals[0], signals[3] = signals[0] + GRAVITY * motion.roll, signals[3] + GRAVITY * mass_roll
+        signals[0], signals[3] = signals[0] + GRAVITY * motion.roll, signals[3] + GRAVITY * motion.mass_roll
     if errors is None:
         return signals
     longitudinal = np.gradient(motion.speed, STEP)
     turned = in_sensor_axes(np.stack(signals), longitudinal, errors, gravity=node.measures_gravity)
-    late, n = sampled_late(turned, errors.skew, STEP), len(motion)
+    late, n = sampled_late(turned, errors.skew), len(motion)
     if errors.vibration is not None:
-        late += vibration_of(errors.vibration, n, STEP, rng)
+        late += vibration_of(errors.vibration, n, rng)
     drift = np.outer(errors.scale_drift, np.linspace(0.0, 1.0, n))
     return list(np.asarray(late * (errors.scale[:, None] + drift)))
 
@@ -214,8 +212,6 @@ UG, MG, G = FileUnit("_ug", MICRO_G), FileUnit("_mg", 1e3 * MICRO_G), FileUnit("
 Noise = Annotated[NotNegative, FileUnit("_ug_per_root_hz", MICRO_G)]
 Drift = Annotated[NotNegative, FileUnit("_ug_per_root_s", MICRO_G)]
 RAD_S2 = FileUnit("_rad_s2")
-
-
 _DIVIDES = refusing(lambda rate: FULL_RATE_HZ % rate, f"{{value}} Hz does not divide {FULL_RATE_HZ} Hz")
 
 

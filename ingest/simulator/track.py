@@ -14,7 +14,6 @@ from scipy.interpolate import CubicSpline
 from estimation.errors import InputError, ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.fields import MM, Key, M
-from estimation.vehicle.vehicle_class import GRAVITY, VehicleParameters
 from ingest.file_value import As, Inline, between
 from ingest.input_file import NotNegative, Positive, field_error, refusing
 from ingest.simulator.irregularity import (
@@ -39,8 +38,6 @@ from ingest.track_file import (
 )
 
 ROUNDING = 6.0  # m over which the ends of transitions are rounded: no track has a kink in its cant
-
-
 MIN_CURVE_RADIUS = 150.0  # m
 _IS_RADIUS = refusing(
     lambda radius: abs(radius) < MIN_CURVE_RADIUS,
@@ -84,27 +81,6 @@ def laid_out(curves: Sequence[Curve], s: FloatArray) -> Curves:
     padded = np.pad(shape, ((0, 0), (len(window) // 2,) * 2), mode="edge")
     rounded = [np.convolve(row, window / window.sum(), mode="valid") for row in padded]
     return Curves(*rounded)
-
-
-def path_motion(
-    p: VehicleParameters, curves: Curves, s: FloatArray, distance: FloatArray, speed: FloatArray, step: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the accelerations that curved track forces on a wheelset, and those that its sensors measure of the path.
-
-    The former (n, 3) are added to y'', psi'' and ym'', the latter are (4, n) in the order of ``ACCELERATIONS``. Curves
-    are on the grid ``s`` (m,), m along the section.
-    """
-    curvature = np.interp(distance, s, curves.curvature)
-    tilt = np.interp(distance, s, curves.cant) / (2.0 * p.half_contact_distance)
-    tilt_rate = np.gradient(tilt, step)
-    uncompensated = speed**2 * curvature - GRAVITY * tilt
-    turning = np.gradient(speed * curvature, step)
-    spin = 2.0 * p.lateral_spin_creep_coefficient * curvature / p.wheelset_mass
-    creep = 2.0 * (p.half_contact_distance**2 * p.longitudinal_creep_coefficient + p.spin_creep_coefficient)
-    gyroscopic = p.pitch_inertia * speed / p.nominal_radius * tilt_rate
-    yaw = -turning - (creep * curvature - gyroscopic) / p.yaw_inertia  # the right rail above: it rolls by -tilt
-    forced = np.ascontiguousarray(np.column_stack([-uncompensated - spin, yaw, -uncompensated]))
-    return forced, np.stack([uncompensated, turning, -np.gradient(tilt_rate, step), uncompensated])
 
 
 LARGEST_GAP = 2.0  # m between two rows of a recorded track

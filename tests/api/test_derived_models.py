@@ -9,9 +9,10 @@ import numpy as np
 
 from api.schemas.common import Derived
 from estimation.values.arrays import FloatArray
-from estimation.values.fields import IN_MM, Served
+from estimation.values.fields import Served
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import IN_MM
 
 WHY = Reason(ReasonCode.TOO_FEW_WINDOWS, "two windows")
 

@@ -12,8 +12,9 @@ from populated_service import populated_service
 from running_service import Service
 from stored_raw import raw_of
 
+from estimation.values.units import DAY_NS
 from fleet_db.keeping.purge import purge
-from fleet_db.keeping.retention import DAY_NS, LEAST_DAYS_OF_RECORDINGS, Retention
+from fleet_db.keeping.retention import LEAST_DAYS_OF_RECORDINGS, Retention
 
 FEED = "/v1/alerts/feed"
 SHORTEST = Retention(**{field.name: 1.0 for field in fields(Retention)} | {"recordings": LEAST_DAYS_OF_RECORDINGS})

@@ -17,9 +17,9 @@ def scenario(name: str) -> Scenario:
 
 @pytest.mark.parametrize("name", DRY)
 def test_no_row_has_low_friction_that_does_not_say_so(name: str) -> None:
-    running = scenario(name).running
-    assert running.creep.friction == (0.2 if "wet" in name else 0.4)
-    assert not running.stretches
+    creep = scenario(name).creep
+    assert creep.friction == (0.2 if "wet" in name else 0.4)
+    assert not creep.stretches
 
 
 def test_a_row_changes_what_it_says_and_nothing_else() -> None:
@@ -28,4 +28,4 @@ def test_a_row_changes_what_it_says_and_nothing_else() -> None:
     assert alone.section == quiet.section
     assert smooth.sensors == quiet.sensors
     assert smooth.section != quiet.section
-    assert len(scenario("quiet_leaves").running.stretches) == 2
+    assert len(scenario("quiet_leaves").creep.stretches) == 2

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.house import (
-    entered_files,
-)
+from bench.house import entered_files
+from bench.loose_constants import loose_constants
 
 ROOT = Path(__file__).resolve().parents[2]
 CONTRACT = """\
@@ -91,3 +90,31 @@ def test_values_infrastructure_and_the_alignment_job_are_no_part_of_the_path() -
         },
     }
     assert entered_files(traced) == {"ingest/codec.py": "ingest, estimate_windows"}
+
+
+NUMBERS = """
+MOST, LEAST = 3.0, -2
+ALWAYS = frozen(np.array([0.5, 1.0]), (2,))
+NONE = Check(0.0)
+STEP = StepModel(slope=0.1)
+Share = Annotated[float, Interval(ge=0.0, le=0.9)]
+FIRST = MANY[2]
+class Found:
+    count: int = 0
+    width: float = 0.4
+@dataclass(frozen=True)
+class ScreenParameters:
+    most: float = 4.0
+def refined(count=12, step=1.0, *, tolerance=1e-6): ...
+"""
+
+
+def test_a_number_is_loose_outside_values_of_parameters(tmp_path: Path) -> None:
+    (tmp_path / "estimation").mkdir()
+    (tmp_path / "estimation" / "screen.py").write_text(NUMBERS, encoding="utf-8")
+    found = {item.name for item in loose_constants(tmp_path)}
+    assert found == {"MOST", "LEAST", "ALWAYS", "width", "refined(count)", "refined(tolerance)"}
+
+
+def test_few_numbers_are_loose() -> None:
+    assert len(list(loose_constants(ROOT))) <= 100

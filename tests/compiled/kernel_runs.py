@@ -36,8 +36,7 @@ from estimation.vehicle.vehicle_class import BogieParameters, VehicleParameters
 from ingest.catalogue import default_catalogue
 from ingest.codec import decode, encode
 from ingest.frames import batch_of, concatenate
-from ingest.simulator.gear_rates import Wheels
-from ingest.simulator.motion import simulate_wheelset
+from ingest.simulator.rates import Wheels
 from ingest.simulator.running import Creep, CreepLaw
 from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.track import Curves, Surface, TrackTruth
@@ -205,12 +204,14 @@ def _simulator() -> Iterator[FloatArray]:
     s = np.linspace(0.0, 20.0, 41)
     track = TrackTruth(s=s, alignment=2e-3 * np.sin(s / 2.0), gauge_deviation=1e-3 * np.cos(s / 3.0))
     speed = np.concatenate([np.zeros(4), np.linspace(0.0, 12.0, 40)])
-    start = np.array([0.0, 0.0, 1e-3, 0.0, 0.0, 0.0])
+    start = np.zeros(11)
+    start[2] = 1e-3
     for table in (Cones(np.zeros(1)), Cones(np.array([-2e-3, 0.0, 2e-3]))):
-        motion = simulate_wheelset(VehicleParameters(), table, track, speed, 1.0, initial=start)
+        motion = simulate_gear(RunningGear(), [table], track, speed, 1.0, initial=start)[0]
         yield from (motion.lateral_displacement, motion.yaw, motion.mass_lateral_acceleration, motion.roll_rate)
-    far = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
-    yield np.array([simulate_wheelset(VehicleParameters(), table, track, speed[-6:], 1.0, initial=far).outside])
+    far = np.zeros(11)
+    far[0] = 0.1
+    yield np.array([simulate_gear(RunningGear(), [table], track, speed[-6:], 1.0, initial=far)[0].outside])
 
 
 def _running_gears() -> Iterator[FloatArray]:
@@ -220,14 +221,14 @@ def _running_gears() -> Iterator[FloatArray]:
     track = TrackTruth(s, 2e-3 * np.sin(s / 2.0), 1e-3 * np.cos(s / 3.0), curves, surface)
     speed, cones = np.concatenate([np.zeros(4), np.linspace(0.0, 12.0, 40)]), Cones(np.zeros(1))
     bogie = BogieParameters(2.5, frame_mass=2e3, frame_yaw_inertia=2e3, body_mass=1e4)
-    wheels = Wheels((1e-4, 0.0) * 2, (1.0, 0.0) * 2)
+    wheels = (Wheels((1e-4, 0.0), (1.0, 0.0)),) * 2
     for law in CreepLaw:
-        gear = RunningGear(VehicleParameters(), bogie, Creep(law), wheels, traction=(1.0, 1.0), braking=(1.0, 1.0))
+        gear = RunningGear(VehicleParameters(), bogie, Creep(law), wheels, traction=(1.0, 1.0))
         for motion in simulate_gear(gear, [cones, cones], track, speed, 5.0):
             yield from (motion.lateral_displacement, motion.yaw, motion.mass_lateral_acceleration, motion.roll_rate)
-    (round_wheels,) = simulate_gear(RunningGear(VehicleParameters()), [cones], replace(track, surface=None), speed, 5.0)
+    (round_wheels,) = simulate_gear(RunningGear(), [cones], replace(track, surface=None), speed, 5.0)
     yield round_wheels.lateral_displacement
-    far = simulate_gear(RunningGear(VehicleParameters()), [cones], track, speed[-6:], 5.0, initial=np.full(16, 0.1))
+    far = simulate_gear(RunningGear(), [cones], track, speed[-6:], 5.0, initial=np.full(11, 0.1))
     yield np.array([far[0].outside])
 
 

@@ -14,7 +14,7 @@ from estimation.jobs.settings import EstimationSettings
 from estimation.track.passes import Pass
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import VehicleParameters
-from ingest.simulator.motion import simulate_wheelset
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.track import TrackTruth
 
 SETTINGS = EstimationSettings()
@@ -42,7 +42,7 @@ def turned_windows(number: int, seed: int = 1) -> tuple[Window, ...]:
     length = float(truth.s[-1])
     seen = TrackTruth(length - truth.s[::-1], -truth.alignment[::-1], truth.gauge_deviation[::-1])
     begin = length - SECONDS * speed - 60.0
-    motion = simulate_wheelset(VehicleParameters(), SmoothTable(cone), seen, np.full(SECONDS * 1000, speed), begin)
+    motion = simulate_gear(RunningGear(), [SmoothTable(cone)], seen, np.full(SECONDS * 1000, speed), begin)[0]
     found = mems_windows(motion, seed=10 * seed + number + 500)
     return tuple(_named(replace(w, distance=length - w.distance), number) for w in found)
 

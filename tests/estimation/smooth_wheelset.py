@@ -11,8 +11,8 @@ from estimation.motion.integration import standard_displacement
 from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Motion, Window, WindowQuality
-from estimation.vehicle.vehicle_class import VehicleParameters
-from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
+from ingest.simulator.motion import WheelsetMotion
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
 
 
@@ -72,7 +72,7 @@ def track(seed: int, length: float = 13_000.0) -> TrackTruth:
 def run(seconds: int, seed: int = 1, cone: float = 0.1, speed: float = 20.0, swing: float = 0.0) -> WheelsetMotion:
     t = np.arange(seconds * 1000) * 1e-3
     V = speed + swing * np.sin(2 * np.pi * t / 97.0)
-    return simulate_wheelset(VehicleParameters(), SmoothTable(cone), track(seed), V, 10.0)
+    return simulate_gear(RunningGear(), [SmoothTable(cone)], track(seed), V, 10.0)[0]
 
 
 def ideal(m: WheelsetMotion, block_s: float = 20.0) -> Motion:

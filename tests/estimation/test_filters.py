@@ -23,7 +23,7 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from estimation.values.windows import Motion
 from estimation.vehicle.vehicle_class import VehicleParameters
-from ingest.simulator.motion import simulate_wheelset
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 
 LEVER, NOISE = 2 * 0.7452 * 0.45, 4e-5
 CERTAIN = EstimatorParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))
@@ -66,9 +66,7 @@ class SteppedTable(SmoothTable):
 @cache
 def with_jumps(step: float) -> Motion:
     """Return the motion of a wheelset on wheels with contact jumps of ``step`` m."""
-    return ideal(
-        simulate_wheelset(VehicleParameters(), SteppedTable(step=step), track(1), np.full(120_000, 20.0), 10.0)
-    )
+    return ideal(simulate_gear(RunningGear(), [SteppedTable(step=step)], track(1), np.full(120_000, 20.0), 10.0)[0])
 
 
 def test_the_extended_filter_is_that_of_full_matrices() -> None:

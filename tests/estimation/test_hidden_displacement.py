@@ -13,7 +13,7 @@ from smooth_wheelset import ideal, run
 from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
 from estimation.estimators import hidden_displacement
-from estimation.estimators.hidden_displacement import GRID, PRIOR_STD, HiddenDisplacement, smooth, stepped, steps, weigh
+from estimation.estimators.hidden_displacement import GRID, HIDDEN, HiddenDisplacement, smooth, stepped, steps, weigh
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.quantities import Status
@@ -151,7 +151,7 @@ def test_a_window_costs_its_own_samples_alone() -> None:
 
 
 def test_the_grid_reaches_three_times_as_far_as_the_slow_part() -> None:
-    assert GRID[-1] == pytest.approx(3 * PRIOR_STD)
+    assert GRID[-1] == pytest.approx(3 * HIDDEN.prior_std)
     assert np.diff(GRID) == pytest.approx(0.02e-3)
 
 

@@ -21,10 +21,10 @@ from estimation.values.geometry import WheelsetGeometry
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
 from estimation.values.windows import Window
-from estimation.vehicle.vehicle_class import VehicleParameters
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
-from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
+from ingest.simulator.motion import WheelsetMotion
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 
 LENGTH = 2800.0
 SECONDS, WINDOW_S = 120, 40
@@ -65,7 +65,7 @@ class UnevenTable(SmoothTable):
 def motion(name: str, *, turned: bool) -> WheelsetMotion:
     cone, uneven, speed = WHEELS[name]
     table = UnevenTable(cone, uneven, turned)
-    return simulate_wheelset(VehicleParameters(), table, track(1), np.full(SECONDS * 1000, speed), 10.0)
+    return simulate_gear(RunningGear(), [table], track(1), np.full(SECONDS * 1000, speed), 10.0)[0]
 
 
 @cache

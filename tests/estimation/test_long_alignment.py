@@ -38,7 +38,7 @@ def gridded(found: list[Pass]) -> list[GriddedPass]:
 
 @cache
 def solved() -> PanelSolution:
-    return result(update(init(PANEL), measured()))
+    return result(update(init(PANEL), measured()), parameters=PanelParameters())
 
 
 def true(cutoff_wavelength: float) -> FloatArray:

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimation.track.gauge.wheel_functions import (
-    INLIER_MISFIT,
+    WHEELS,
     ContactSamples,
     WheelFunctions,
     fit_wheels,
@@ -132,7 +132,7 @@ def test_what_all_wheelsets_do_alike_belongs_to_the_track() -> None:
 
 def test_places_that_the_model_does_not_reach_are_left_out() -> None:
     seen = contact_samples(0.1)
-    misfit = np.where(np.arange(SAMPLES) % 3 == 0, 2 * INLIER_MISFIT, 0.0)
+    misfit = np.where(np.arange(SAMPLES) % 3 == 0, 2 * WHEELS.inlier_misfit, 0.0)
     inliers = replace(seen, misfit=misfit).inliers()
     np.testing.assert_array_equal(inliers.displacement, seen.displacement[misfit == 0.0])
     assert len(seen.inliers(4).gauge) == SAMPLES / 4

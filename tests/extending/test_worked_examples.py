@@ -51,7 +51,17 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "example",
-    ["alert_rule", "stage", "window_table", "window_number", "number", "estimator", "log_format", "profile_format"],
+    [
+        "alert_rule",
+        "stage",
+        "window_table",
+        "window_number",
+        "refusal",
+        "number",
+        "estimator",
+        "log_format",
+        "profile_format",
+    ],
 )
 def test_the_example_works(extended: Path, tmp_path: Path, example: str) -> None:
     # the packages of the copy go before those beside the benches, which the tests' own helpers use
@@ -68,7 +78,9 @@ def test_the_example_works(extended: Path, tmp_path: Path, example: str) -> None
 FILES = {
     "An alert rule": 3,
     "A stage": 3,
-    "A REST resource": 2,
+    "A REST resource": 3,
+    "A number of every window": 8,
+    "A reason to refuse a window": 2,
     "One more number of a geometry": 3,
     "An estimator": 2,
     "A log format": 2,

@@ -14,11 +14,12 @@ from bench.put_values import put_table
 from estimation.errors import DamagedError, ParameterError, PurgedError
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import EpochMember, FoldState, TrackEpoch
+from estimation.values.units import DAY_NS
 from estimation.values.windows import DueStage, PassedOver, WindowPosition, WindowRecord, WindowState
 from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.kept_files import kept_files, orphaned_samples
 from fleet_db.keeping.purge import WAITING, Purged, purge
-from fleet_db.keeping.retention import DAY_NS, Kept, Retention
+from fleet_db.keeping.retention import Kept, Retention
 from fleet_db.storage import SqlStorage
 
 NOTHING: dict[str, Any] = dict.fromkeys((kind.value for kind in Kept), None)

@@ -14,12 +14,13 @@ from stored_raw import raw_of
 from bench.put_values import put_geometry, put_trend
 from estimation.errors import ConflictError, ParameterError
 from estimation.values.runs import JobOutcome, JobTrigger
+from estimation.values.units import DAY_NS
 from fleet_db.atomic_files import unlink_old
 from fleet_db.keeping import purge as purge_module
 from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.kept_files import LEAST_AGE_S, orphaned_recordings, orphaned_samples
 from fleet_db.keeping.purge import Purged, purge, purged_before
-from fleet_db.keeping.retention import DAY_NS, Kept, Retention
+from fleet_db.keeping.retention import Kept, Retention
 from fleet_db.locks import keeping_alone
 from fleet_db.raw import FileRawStore
 from fleet_db.records import ChunkState, Delivery, DeliveryState, Failure, Webhook, WebhookState

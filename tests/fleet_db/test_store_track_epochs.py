@@ -10,7 +10,8 @@ import stored_values as make
 
 from bench.put_values import put_table
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track import OPEN_NS, EpochMember, FoldState, FoundOfVehicles, TrackEpoch
+from estimation.values.track import EpochMember, FoldState, FoundOfVehicles, TrackEpoch
+from estimation.values.units import LATEST_NS
 from estimation.values.windows import DueStage, WindowPosition, WindowState
 from fleet_db.storage import SqlStorage
 
@@ -35,7 +36,7 @@ def put_epoch(
     estimated_on: int | None = None,
 ) -> None:
     epoch = TrackEpoch(
-        "S-7", number, "before", "digest", OPEN_NS, len(starts), waits=False, after=FoldState(version, same_since),
+        "S-7", number, "before", "digest", LATEST_NS, len(starts), waits=False, after=FoldState(version, same_since),
         estimated_on=estimated_on or version, report=1, recorded_ns=1,
     )  # fmt: skip
     with storage.write() as unit:

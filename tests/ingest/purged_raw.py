@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from stored_raw import raw_of
 
+from estimation.values.units import DAY_NS
 from fleet_db.keeping.purge import purge
-from fleet_db.keeping.retention import DAY_NS, Retention
+from fleet_db.keeping.retention import Retention
 from fleet_db.records import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 

@@ -13,12 +13,13 @@ from test_receiver import CountingClock
 from vehicle_bus import register
 
 from estimation.errors import PassingFaultError
+from estimation.values.units import DAY_NS
 from fleet_db.keeping.backup import BackupPlan, back_up
 from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.kept_files import orphaned_recordings
 from fleet_db.keeping.purge import purge
 from fleet_db.keeping.restore import Installation, restore
-from fleet_db.keeping.retention import DAY_NS, Kept, Retention
+from fleet_db.keeping.retention import Kept, Retention
 from fleet_db.keeping.stored_bytes import stored_bytes
 from fleet_db.raw import MARK_NAME, PREFIX, check_raw_store
 from fleet_db.storage import SqlStorage

@@ -17,9 +17,10 @@ import pytest
 from log_files import write_recording
 
 from estimation.errors import LogFileError, PassingFaultError
+from estimation.values.units import DAY_NS
 from ingest.frames import FrameBatch
 from ingest.logs.formats import ReadCost, limits_of, read_content, read_log, stop_server
-from ingest.logs.log_format import DAY_NS, ReadLimits
+from ingest.logs.log_format import ReadLimits
 
 GENEROUS = ReadLimits(cpu_s=60.0, wall_s=60.0, frames=10**7, inflated_bytes=1 << 30)
 

@@ -10,6 +10,7 @@ from vehicle_bus import VEHICLE, Run, register
 
 from estimation.errors import LogFileError
 from estimation.values.reasons import ReasonCode
+from estimation.values.units import DAY_NS, SECOND_NS
 from fleet_db.raw import FileRawStore
 from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
@@ -17,14 +18,7 @@ from ingest.catalogue import default_catalogue
 from ingest.corrections import Author, RecordingCorrections
 from ingest.frames import FrameBatch, concatenate
 from ingest.logs import write_blf
-from ingest.plausibility import (
-    DAY_NS,
-    LONGEST_SPAN_NS,
-    MOST_AHEAD_NS,
-    OUR_CLOCK_SET_NS,
-    SECOND_NS,
-    clock_verdict,
-)
+from ingest.plausibility import LONGEST_SPAN_NS, MOST_AHEAD_NS, OUR_CLOCK_SET_NS, clock_verdict
 from ingest.receiver import Receiver
 
 RECEIVED_NS = 1_760_000_000 * SECOND_NS

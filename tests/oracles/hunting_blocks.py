@@ -11,12 +11,12 @@ from estimation.values.windows import NOT_HUNTING, Hunting
 
 def find_hunting(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interval_s: float) -> Hunting:
     """Return how much of some running time a wheelset hunts, at which frequency and how far."""
-    size = round(hunting.BLOCK_S / interval_s)
+    size = round(hunting.HUNTS.block_s / interval_s)
     running, found = 0, []
     for start in range(0, len(lateral) - size + 1, size):
         part = slice(start, start + size)
         fast = float(np.nan_to_num(np.mean(speed[part])))
-        if fast < hunting.LEAST_SPEED:
+        if fast < hunting.HUNTS.least_speed:
             continue
         running += 1
         line = hunting._line(lateral[part], yaw[part], fast, interval_s)

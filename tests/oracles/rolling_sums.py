@@ -8,21 +8,14 @@ import numpy as np
 
 from estimation.motion.checks import moving_samples, runs_backwards
 from estimation.motion.integration import SignalParameters, segments
-from estimation.motion.rolling_sums import (
-    BANDS,
-    PART_S,
-    PIECE_S,
-    TERMS,
-    USUAL_ANGULAR,
-    USUAL_LATERAL,
-    USUAL_RATE,
-    WAVELENGTHS,
-)
+from estimation.motion.parameters import MOTION
+from estimation.motion.rolling_sums import TERMS
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.roll_up import RollingSums
+from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS, Window
 from estimation.vehicle.linear_model import ComplexArray
-from estimation.vehicle.vehicle_class import GRAVITY, SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import SensorLayout, VehicleClass
 
 
 def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalParameters) -> tuple[RollingSums, ...]:
@@ -38,7 +31,7 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
             frame_yaw_acceleration=None if frame is None else -frame,
         )
     dt = window.sample_interval_s
-    size, each = round(PIECE_S / dt), round(PART_S / dt)
+    size, each = round(MOTION.piece_s / dt), round(MOTION.jackknife_part_s / dt)
     parts: dict[int, list[RollingSums]] = {}
     usable = moving_samples(window, signals)
     for first, behind in segments(usable, window, signals):
@@ -71,8 +64,8 @@ def _piece(samples: FloatArray, dt: float, counting: FloatArray, vehicle_class: 
     """Return the sums of one piece, accelerations, the frame's and speed (6, m)."""
     n, speed = samples.shape[1], float(samples[5].mean())
     frequency = np.asarray(np.fft.rfftfreq(n, dt), dtype=np.float64)
-    longest = speed / WAVELENGTHS[1]
-    used = (frequency >= longest) & (frequency <= speed / WAVELENGTHS[0])
+    longest = speed / MOTION.wavelength_range[1]
+    used = (frequency >= longest) & (frequency <= speed / MOTION.wavelength_range[0])
     omega = np.asarray(2.0 * np.pi * frequency[used])
     window = np.hanning(n)
     unit = 0.5 * n / dt * float(np.mean(window**2))  # of a squared spectrum per squared noise density
@@ -84,8 +77,15 @@ def _piece(samples: FloatArray, dt: float, counting: FloatArray, vehicle_class: 
     values = np.einsum("kjf,jf->kf", terms, moved)
     noise = _noise(omega, speed, vehicle_class, counting)
     weight = 2.0 / _left(terms, noise, vehicle_class.parameters.nominal_radius)
-    band = np.minimum((BANDS * np.log(frequency[used] / longest) / np.log(WAVELENGTHS[1] / WAVELENGTHS[0])), BANDS - 1)
-    share = weight * (band.astype(np.int64)[None, :] == np.arange(BANDS)[:, None])
+    band = np.minimum(
+        (
+            MOTION.wavelength_bands
+            * np.log(frequency[used] / longest)
+            / np.log(MOTION.wavelength_range[1] / MOTION.wavelength_range[0])
+        ),
+        MOTION.wavelength_bands - 1,
+    )
+    share = weight * (band.astype(np.int64)[None, :] == np.arange(MOTION.wavelength_bands)[:, None])
     measured = np.einsum("if,jf->fij", values.conj(), values).real
     of_noise = np.einsum("iaf,jaf->fij", terms.conj() * noise, terms).real
     return RollingSums(np.tensordot(share / unit, measured, axes=1), np.tensordot(share, of_noise, axes=1))
@@ -93,11 +93,16 @@ def _piece(samples: FloatArray, dt: float, counting: FloatArray, vehicle_class: 
 
 def _densities(sensors: SensorLayout) -> FloatArray:
     """Return the squared noise densities (4,) of the sensors: on file, or usual ones where none is."""
-    usual = (USUAL_LATERAL, USUAL_ANGULAR, USUAL_ANGULAR, USUAL_LATERAL)
+    usual = (
+        MOTION.usual_lateral_noise,
+        MOTION.usual_angular_noise,
+        MOTION.usual_angular_noise,
+        MOTION.usual_lateral_noise,
+    )
     rates = (False, sensors.yaw_is_gyroscope, sensors.roll_is_gyroscope, False)
     return np.square(
         [
-            one.noise_density or (USUAL_RATE if rate else density)
+            one.noise_density or (MOTION.usual_rate_noise if rate else density)
             for one, density, rate in zip(sensors.channels.values(), usual, rates, strict=True)
         ]
     )

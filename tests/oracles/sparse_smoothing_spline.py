@@ -6,7 +6,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import cho_factor, cho_solve
 
-from estimation.filters import KNOTS_PER_CUT_OFF, ORDER, REGULARISATION
+from estimation.filters import FILTERS, ORDER
 from estimation.values.arrays import BoolArray, FloatArray
 
 DEGREE = 3
@@ -16,7 +16,7 @@ def sparse_smoothing_spline(
     signals: FloatArray, distance: FloatArray, known: BoolArray, cutoff_wavelength: float, removed: FloatArray
 ) -> FloatArray:
     """Return signals (m, n) less their wander, as ``subtract_smoothing_spline`` does."""
-    step = float(distance[-1]) / max(int(np.ceil(KNOTS_PER_CUT_OFF * distance[-1] / cutoff_wavelength)), 1)
+    step = float(distance[-1]) / max(int(np.ceil(FILTERS.knots_per_cut_off * distance[-1] / cutoff_wavelength)), 1)
     knots = step * np.arange(-DEGREE, round(float(distance[-1]) / step) + DEGREE + 1)
     spline = BSpline.design_matrix(np.clip(distance, 0.0, distance[-1] * (1 - 1e-12)), knots, DEGREE)
     difference = np.diff(np.eye(spline.shape[1]), ORDER, axis=0)
@@ -25,6 +25,6 @@ def sparse_smoothing_spline(
     columns = np.column_stack([spline.toarray(), removed.T])
     gram = (columns * weight[:, None]).T @ columns
     gram[: len(roughness), : len(roughness)] += roughness
-    gram[np.diag_indices_from(gram)] *= 1 + REGULARISATION
+    gram[np.diag_indices_from(gram)] *= 1 + FILTERS.regularisation
     solution = cho_solve(cho_factor(gram), (columns * weight[:, None]).T @ signals.T)
     return np.asarray(signals - (columns @ solution).T)

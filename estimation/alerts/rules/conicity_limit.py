@@ -23,6 +23,7 @@ from estimation.values.fields import Served
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, code_of
 from estimation.values.registry import VehicleRecord
+from estimation.values.units import KM_H_IN_M_S
 
 ANY_CLASS = "*"
 SPEED_DIGITS = 6  # of km/h: 120 km/h in m/s and back is 120.00000000000001, which belongs to the band up to 120
@@ -73,7 +74,7 @@ class ConicityLimitRule(IntervalsRule):
 
     def limit_for(self, vehicle: VehicleRecord) -> float | None:
         """Return the limit of a vehicle; None where no band applies."""
-        speed_km_h = round(3.6 * vehicle.max_speed_m_s, SPEED_DIGITS)
+        speed_km_h = round(KM_H_IN_M_S * vehicle.max_speed_m_s, SPEED_DIGITS)
         return self.limit_at(vehicle.vehicle_class, speed_km_h)
 
     def limit_at(self, vehicle_class: str, speed_km_h: float) -> float | None:

@@ -12,6 +12,7 @@ from annotated_types import Interval
 from scipy.special import betainc
 
 from estimation.alerts.identity import IdentityEvent
+from estimation.alerts.parameters import FINDINGS
 from estimation.trend.extrapolation import conicity_points
 from estimation.trend.trend import TrendParameters, trend_up_to
 from estimation.values.alerts import Alert, Evidence, Finding, MileageNow, Severity, number_evidence
@@ -132,10 +133,6 @@ def too_few_windows(windows: int, needed: int) -> Reason | None:
     return Reason(ReasonCode.TOO_FEW_WINDOWS, f"{windows} windows, {needed} needed")
 
 
-LOOK_BACK = 5  # times the windows that a rule looks at: what was earlier raises nothing any more
-LOOK_BACK_INTERVALS = 24  # intervals of mileage: what was earlier raises nothing any more
-
-
 @dataclass(frozen=True, slots=True)
 class Run:
     """Findings on end that say the same; in rising or falling order of vehicle time."""
@@ -225,7 +222,7 @@ def began(newest_first: Iterable[Finding], delays: AlertDelays) -> int | None:
 
 def reach_km(delays: AlertDelays) -> float:
     """Return how far back findings count where a delay is in kilometres; 0 where none is."""
-    return LOOK_BACK * max(delays.on_delay_km, delays.off_delay_km)
+    return FINDINGS.look_back_factor * max(delays.on_delay_km, delays.off_delay_km)
 
 
 def within_reach(mileages_km: Sequence[float | None], count: int, reach: float) -> int:
@@ -260,8 +257,8 @@ class WindowsRule(AlertRule):
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
         """Return the finding of the latest windows of the mounting.
 
-        The newest ``LOOK_BACK`` times ``latest_windows`` show whether an alert stands, with delays in kilometres also
-        all of the last ``reach_km``.
+        The newest ``look_back_factor`` times ``latest_windows`` show whether an alert stands, with delays in kilometres
+        also all of the last ``reach_km``.
         """
         if facts.wheelset.mounting is None:
             return None
@@ -272,7 +269,7 @@ class WindowsRule(AlertRule):
         if not any(self.is_suspect(window, facts) for window in ordered):
             return replace(now, stands=False)
         mileages = [None if one.implausible is not None else one.mileage_km for one in ordered]
-        first = len(ordered) - within_reach(mileages, LOOK_BACK * latest, reach_km(self.delays))
+        first = len(ordered) - within_reach(mileages, FINDINGS.look_back_factor * latest, reach_km(self.delays))
 
         def after(end: int) -> Finding:
             found = self.find_in(ordered[max(first, end - latest) : end], facts)
@@ -329,7 +326,7 @@ class WindowShareRule(WindowsRule):
 class IntervalsRule(AlertRule):
     """A rule on the profile: an alert stands as if it had been evaluated after each interval of mileage.
 
-    The newest ``LOOK_BACK_INTERVALS`` intervals count, with delays in kilometres also those of the last ``reach_km``.
+    The newest ``look_back_intervals`` count, with delays in kilometres also those of the last ``reach_km``.
     """
 
     counts_km = True
@@ -376,7 +373,7 @@ class IntervalsRule(AlertRule):
 def counting(facts: WheelsetFacts, delays: AlertDelays) -> Sequence[GeometryRecord]:
     """Return the newest intervals that count; delays in kilometres may reach further back."""
     mileages = [record.mileage_km for record in facts.intervals]
-    return facts.intervals[-within_reach(mileages, LOOK_BACK_INTERVALS, reach_km(delays)) :]
+    return facts.intervals[-within_reach(mileages, FINDINGS.look_back_intervals, reach_km(delays)) :]
 
 
 def _newest_first(facts: WheelsetFacts, intervals: Sequence[GeometryRecord]) -> Iterator[WheelsetFacts]:

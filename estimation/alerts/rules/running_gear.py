@@ -24,9 +24,10 @@ from estimation.trend.suspension import SuspensionParameters
 from estimation.values.alerts import DecidingEvidence, Evidence, Finding, Severity, number_evidence, restated
 from estimation.values.fields import Served
 from estimation.values.opinions import GearDamper, SectionAdhesion
-from estimation.values.quantities import NORMAL_95, Estimate, with_interval
+from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason
 from estimation.values.trend import SuspensionChange
+from estimation.values.units import NORMAL_95
 from estimation.values.windows import HUNTING_SHARE, WindowRecord
 
 Change = Annotated[float, Interval(ge=0.01, le=10.0)]

@@ -10,6 +10,7 @@ from typing import Annotated
 from annotated_types import Interval
 
 from estimation.alerts.identity import IdentityEvent, IdentityParameters, Mistake
+from estimation.alerts.parameters import FINDINGS
 from estimation.alerts.rules.rule import (
     AlertDelays,
     AlertRule,
@@ -36,10 +37,8 @@ from estimation.values.fields import JsonValue, Served
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
 from estimation.values.trend import IDENTITY
+from estimation.values.units import DAY_NS
 from estimation.values.windows import WindowRecord
-
-DAY_NS = 86_400_000_000_000
-LATEST = 20  # windows whose reasons are told by a wheelset without usable ones
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -205,7 +204,7 @@ class NoDataRule(AlertRule):
         silent_days = (now_ns - since_ns) / DAY_NS
         breached, critical = silent_days > self.days, silent_days > self.critical_days
         raised_ns, critical_ns = (since_ns + round(days * DAY_NS) for days in (self.days, self.critical_days))
-        newest = sorted(facts.windows, key=lambda window: window.start_ns)[-LATEST:]
+        newest = sorted(facts.windows, key=lambda window: window.start_ns)[-FINDINGS.reasons_from_windows :]
         refused = [one.reason for one in newest if one.reason is not None and one.start_ns >= since_ns]
         codes = Counter(reason.code for reason in refused)
         usual = codes.most_common(1)[0][0] if codes else None

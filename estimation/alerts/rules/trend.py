@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
+from estimation.alerts.parameters import FINDINGS
 from estimation.alerts.rules.rule import AlertRule, IntervalsRule, Probability, WheelsetFacts
 from estimation.trend.now import SCALE, limit_now, probability_within
 from estimation.values.alerts import DecidingEvidence, Evidence, Finding, LimitNow, Severity, number_evidence, restated
@@ -23,8 +24,8 @@ from estimation.values.trend import (
     TrendStep,
     WearTrend,
 )
+from estimation.values.units import DAY_NS
 
-DAY_NS = 86_400 * 10**9
 _WORDS = {
     StepCause.TURNED: "turned",
     StepCause.EXCHANGED: "exchanged",
@@ -32,7 +33,6 @@ _WORDS = {
     StepCause.DAMAGED: "damaged",
     StepCause.SENSOR: "another scale of its sensor",
 }
-NAMED = 0.1  # share of a cause that the sentence names
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,29 +137,19 @@ def unregistered_change_finding(
 
 
 def _sentence(step: TrendStep, size: float, causes: tuple[StepExplanation, ...]) -> str:
-    which = " or ".join(_WORDS[one.cause] for one in causes if one.share >= NAMED)
+    which = " or ".join(_WORDS[one.cause] for one in causes if one.share >= FINDINGS.named_probability)
     changed = f"the conicity has {'risen' if size > 0.0 else 'fallen'} by {abs(size):.2f} at {step.after_km:,.0f} km"
     look = "look at the wheels, and register what happened" if size > 0.0 else "register what happened"
     return f"{changed}, which no event on file explains: {which}; {look}"
 
 
 USUAL = {
-    StepCause.TURNED: 0.4,
-    StepCause.EXCHANGED: 0.35,
-    StepCause.DAMAGED: 0.15,
-    StepCause.SENSOR: 0.06,
-    StepCause.TURNED_END_FOR_END: 0.04,
+    StepCause.TURNED: FINDINGS.turned_prior,
+    StepCause.EXCHANGED: FINDINGS.exchanged_prior,
+    StepCause.DAMAGED: FINDINGS.damaged_prior,
+    StepCause.SENSOR: FINDINGS.sensor_prior,
+    StepCause.TURNED_END_FOR_END: FINDINGS.end_for_end_prior,
 }
-DESIGN_STD = 0.02  # of the conicity of turned wheels about that of their design
-KEPT_STD = 0.02  # of a wheelset's own after it was turned end for end
-ANY_CONICITY = (0.02, 0.6)  # of a wheelset of the fleet
-DAMAGE_SIZE = 0.15  # mean of a rise by damage
-SCALE_STD = 0.3  # of the logarithm of a sensor's scale
-SAME_SCALE_STD = 0.05  # of it between wheelsets of one node
-TOGETHER_NS = 3 * 86_400 * 10**9  # between steps of one node
-ALONE = 0.3  # chance that a sensor's fault is one of a single wheelset's
-LEAST_DENSITY = 1e-6
-HALF_STEP = 0.125e-3  # m: amplitudes nearer to each other are the same
 
 
 def explanations(step: TrendStep, around: StepSurroundings) -> tuple[StepExplanation, ...]:
@@ -171,14 +161,14 @@ def explanations(step: TrendStep, around: StepSurroundings) -> tuple[StepExplana
     size, std = step.size.value or 0.0, step.size.std or 1.0
     found = {
         StepCause.TURNED: _turned(step, std, around),
-        StepCause.EXCHANGED: (1.0 / (ANY_CONICITY[1] - ANY_CONICITY[0]), 0.0),
-        StepCause.DAMAGED: (float(np.exp(-size / DAMAGE_SIZE)) / DAMAGE_SIZE, 0.0)
+        StepCause.EXCHANGED: (1.0 / (FINDINGS.usual_conicities[1] - FINDINGS.usual_conicities[0]), 0.0),
+        StepCause.DAMAGED: (float(np.exp(-size / FINDINGS.damage_rise)) / FINDINGS.damage_rise, 0.0)
         if size > 0.0
         else (0.0, -size / std),
         StepCause.SENSOR: _sensor(step, around.others),
-        StepCause.TURNED_END_FOR_END: _normal(size, float(np.hypot(std, KEPT_STD))),
+        StepCause.TURNED_END_FOR_END: _normal(size, float(np.hypot(std, FINDINGS.own_std))),
     }
-    weight = {cause: USUAL[cause] * max(density, LEAST_DENSITY) for cause, (density, _) in found.items()}
+    weight = {cause: USUAL[cause] * max(density, FINDINGS.least_likelihood) for cause, (density, _) in found.items()}
     total = sum(weight.values())
     ordered = sorted(found, key=lambda cause: -weight[cause])
     return tuple(StepExplanation(cause, weight[cause] / total, found[cause][1]) for cause in ordered)
@@ -189,14 +179,16 @@ def _turned(step: TrendStep, std: float, around: StepSurroundings) -> tuple[floa
     after = step.level_before + (step.size.value or 0.0)
     if not around.designed:
         falls = after < step.level_before
-        return (1.0 / max(step.level_before, KEPT_STD), 0.0) if falls else (0.0, abs(step.size.value or 0.0) / std)
+        return (
+            (1.0 / max(step.level_before, FINDINGS.own_std), 0.0) if falls else (0.0, abs(step.size.value or 0.0) / std)
+        )
     nearest = min(around.designed, key=lambda at: abs(at - step.amplitude))
-    density, left = _normal(after - around.designed[nearest], float(np.hypot(std, DESIGN_STD)))
+    density, left = _normal(after - around.designed[nearest], float(np.hypot(std, FINDINGS.design_std)))
     apart = [
-        (one.value - around.designed[at]) / DESIGN_STD
+        (one.value - around.designed[at]) / FINDINGS.design_std
         for one in around.behind
         for at in around.designed
-        if abs(at - one.amplitude) < HALF_STEP
+        if abs(at - one.amplitude) < FINDINGS.amplitude_tolerance
     ]
     shape = float(np.sqrt(np.mean(np.square(apart)))) if apart else left
     worse = max(left, shape)
@@ -205,31 +197,32 @@ def _turned(step: TrendStep, std: float, around: StepSurroundings) -> tuple[floa
 
 def _sensor(step: TrendStep, others: Sequence[TrendStep | None]) -> tuple[float, float]:
     """Return density and what is left where a sensor has another scale: wheelsets of one node change by one factor."""
-    after = max(step.level_before + (step.size.value or 0.0), KEPT_STD)
+    after = max(step.level_before + (step.size.value or 0.0), FINDINGS.own_std)
     scale = _log_scale(step)
     together = [one for one in others if one is not None and _together(step, one)]
-    density, left = _normal(scale, SCALE_STD)
+    density, left = _normal(scale, FINDINGS.sensor_scale_std)
     if not together:
-        alone = ALONE if others else 1.0
+        alone = FINDINGS.lone_sensor_share if others else 1.0
         return alone * density / after, 0.0
-    same = [abs(_log_scale(one) - scale) / float(np.hypot(_log_std(one), np.hypot(_log_std(step), SAME_SCALE_STD)))
-            for one in together]  # fmt: skip
+    own = np.hypot(_log_std(step), FINDINGS.node_scale_std)
+    same = [abs(_log_scale(one) - scale) / float(np.hypot(_log_std(one), own)) for one in together]
     left = float(np.sqrt(np.mean(np.square(same))))
-    sharper = SCALE_STD / SAME_SCALE_STD  # one factor for all is a sharp prediction
+    sharper = FINDINGS.sensor_scale_std / FINDINGS.node_scale_std  # one factor for all is a sharp prediction
     return sharper * len(together) / len(others) * density * float(np.exp(-0.5 * left**2)) / after, left
 
 
 def _together(first: TrendStep, second: TrendStep) -> bool:
-    return first.before_ns - TOGETHER_NS <= second.after_ns and second.before_ns <= first.after_ns + TOGETHER_NS
+    most_ns = FINDINGS.simultaneous_ns
+    return first.before_ns - most_ns <= second.after_ns and second.before_ns <= first.after_ns + most_ns
 
 
 def _log_scale(step: TrendStep) -> float:
-    after = max(step.level_before + (step.size.value or 0.0), KEPT_STD)
-    return float(np.log(after / max(step.level_before, KEPT_STD)))
+    after = max(step.level_before + (step.size.value or 0.0), FINDINGS.own_std)
+    return float(np.log(after / max(step.level_before, FINDINGS.own_std)))
 
 
 def _log_std(step: TrendStep) -> float:
-    return (step.size.std or 1.0) / max(step.level_before + (step.size.value or 0.0), KEPT_STD)
+    return (step.size.std or 1.0) / max(step.level_before + (step.size.value or 0.0), FINDINGS.own_std)
 
 
 def _normal(apart: float, std: float) -> tuple[float, float]:

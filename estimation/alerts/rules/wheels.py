@@ -16,6 +16,7 @@ from typing import Annotated, Literal
 import numpy as np
 from scipy.special import ndtr
 
+from estimation.alerts.parameters import FINDINGS
 from estimation.alerts.rules.rule import (
     AlertRule,
     Probability,
@@ -35,11 +36,7 @@ from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import WindowRecord
 
-MOST_APART = 0.1  # relative, of the turn from that of the wheel: worn wheels, and speeds by wheels of another radius
-SAME_SIDE = 0.8  # of the windows that show a side
 Indicator = Literal["offset", "shape"]
-INSIDE = 1.0e-3  # m: the reference
-OUTSIDE = (2.0e-3, 3.5e-3)  # m: what is compared with it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,13 +98,13 @@ class WheelFlatRule(WindowShareRule):
 def strikes(window: WindowRecord, turn_m: float) -> bool:
     """Return whether a wheel that runs ``turn_m`` in a turn strikes for most of a window."""
     blows = window.quality.blows
-    return blows.sustained and abs(blows.turn_m / turn_m - 1.0) <= MOST_APART
+    return blows.sustained and abs(blows.turn_m / turn_m - 1.0) <= FINDINGS.turn_tolerance
 
 
 def _wheel(found: Sequence[WindowRecord], *, mounted_reversed: bool) -> Literal["left", "right"] | None:
     """Return which of the wheelset's own wheels strikes, ``left`` or ``right``; None where the windows do not say."""
     sides = [window.quality.blows.side for window in found if window.quality.blows.side]
-    if not sides or abs(sum(sides)) < SAME_SIDE * len(sides) or 2 * len(sides) < len(found):
+    if not sides or abs(sum(sides)) < FINDINGS.same_side_share * len(sides) or 2 * len(sides) < len(found):
         return None
     on_left = sum(sides) > 0
     return "left" if on_left != mounted_reversed else "right"
@@ -206,8 +203,8 @@ def _shape(geometry: WheelsetGeometry) -> Estimate:
     distance = centre[(centre > 0.0) & (centre <= reach)]
     even = 0.5 * (np.interp(distance, at, value) + np.interp(-distance, at, value))
     even_std = 0.5 * np.hypot(np.interp(distance, at, std), np.interp(-distance, at, std))
-    inner = _mean(even, even_std, distance <= INSIDE)
-    outer = _mean(even, even_std, (distance >= OUTSIDE[0]) & (distance <= OUTSIDE[1]))
+    inner = _mean(even, even_std, distance <= FINDINGS.inner_amplitude)
+    outer = _mean(even, even_std, (distance >= FINDINGS.outer_range[0]) & (distance <= FINDINGS.outer_range[1]))
     if inner is None or outer is None:
         return Estimate.unknown(
             Reason(ReasonCode.TOO_FEW_BINS, f"bins on both sides reach {max(0.0, float(reach)) * 1e3:.2g} mm")

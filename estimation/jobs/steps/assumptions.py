@@ -24,19 +24,12 @@ from estimation.vehicle.vehicle_class import ClassOnFile
 
 @dataclass(frozen=True, slots=True)
 class Assumed:
-    """What a window is estimated with.
+    """What a window is estimated with."""
 
-    Attributes:
-        on_file: Class of the vehicle.
-        windows: What turns the window into motion.
-        table_key: Of the bin tables that follow.
-        digest: Of all that a result rests on, standard deviations included.
-    """
-
-    on_file: ClassOnFile
-    windows: WindowParameters
-    table_key: str
-    digest: str
+    on_file: ClassOnFile  # class of the vehicle
+    windows: WindowParameters  # what turns the window into motion
+    table_key: str  # of the bin tables that follow
+    digest: str  # of all that a result rests on, standard deviations included
 
 
 @dataclass(frozen=True, slots=True)

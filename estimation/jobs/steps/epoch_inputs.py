@@ -10,12 +10,14 @@ from itertools import takewhile
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import TreadwatchError
 from estimation.jobs.job import JobContext
+from estimation.jobs.parameters import JOBS, WORK
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.storage import UnitOfWork
-from estimation.track.passes import NANOSECONDS, Entry, Group, ProfileLife, first_epoch, profile_life
+from estimation.track.passes import Entry, Group, ProfileLife, first_epoch, profile_life
 from estimation.values.registry import Mounting, WheelsetRecord
-from estimation.values.track import OPEN_NS, EpochMember, FoldState, ListedWindow, TrackEpoch, TrackSectionRecord
+from estimation.values.track import EpochMember, FoldState, ListedWindow, TrackEpoch, TrackSectionRecord
+from estimation.values.units import LATEST_NS, SECOND_NS
 from estimation.values.windows import WindowKey, WindowRecord
 
 
@@ -123,12 +125,6 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-GROWN = 4.0
-"""Times as many windows as it was computed with: from there on an open epoch is computed although more still come."""
-
-_READ = 4  # times the windows of an epoch that are read to find it
-
-
 @dataclass(frozen=True, slots=True)
 class Due:
     """An epoch that has to be looked at, with the epochs as they were read.
@@ -170,42 +166,31 @@ class Kept:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What a look at the epochs of a section has found.
+    """What a look at the epochs of a section has found."""
 
-    Attributes:
-        stored: All epochs, as they were read.
-        kept: Epochs before the one that is due, or left for later.
-        due: The first to be computed; None where all others are as they should be.
-        later: Whether the last epoch stays as it is for now: a later run looks at it although nothing has changed.
-    """
-
-    stored: Sequence[TrackEpoch]
-    kept: Sequence[Kept] = ()
-    due: Due | None = None
+    stored: Sequence[TrackEpoch]  # all epochs, as they were read
+    kept: Sequence[Kept] = ()  # epochs before the one that is due, or left for later
+    due: Due | None = None  # the first to be computed; None where all others are as they should be
+    # whether the last epoch stays as it is for now: a later run looks at it although nothing has changed
     later: bool = False
 
     @property
     def last(self) -> bool:
         """Whether the epoch that is due holds all windows that are left, and none is stored behind it."""
         due = self.due
-        return due is not None and due.number >= len(self.stored) and due.horizon_ns == OPEN_NS
+        return due is not None and due.number >= len(self.stored) and due.horizon_ns == LATEST_NS
 
 
 @dataclass(frozen=True, slots=True)
 class EpochSearch:
-    """The epochs of a section as one transaction sees them.
-
-    Attributes:
-        stored: All epochs, in order.
-        changed_ns: Start of the first window that they do not hold as it is now; None where there is none.
-    """
+    """The epochs of a section as one transaction sees them."""
 
     unit: UnitOfWork
     context: JobContext
     section: TrackSectionRecord
     lookup: FileLookup
-    stored: Sequence[TrackEpoch]
-    changed_ns: int | None
+    stored: Sequence[TrackEpoch]  # all epochs, in order
+    changed_ns: int | None  # start of the first window that they do not hold as it is now; None where there is none
 
     def found(self) -> Found:
         """Return what is due."""
@@ -234,7 +219,7 @@ class EpochSearch:
     def _with_windows(self, due: Due, taken: Collection[WindowKey]) -> tuple[Due, Group | None]:
         """Return an epoch with its windows; without any where none are left."""
         settings, code = self.context.settings.alignment, self.section.code
-        limit = _READ * settings.most_windows + len(taken)
+        limit = WORK.epoch_read_factor * settings.most_windows + len(taken)
         left = [one for one in self.unit.epochs.remaining(code, due.number, limit) if one.key not in taken]
         if not left:
             return due, None
@@ -265,9 +250,9 @@ class EpochSearch:
         old, context = due.old, self.context
         assert old is not None
         ages_ns = [context.clock.now_ns() - record.recorded_ns for record, _ in group.entries]
-        coming = any(0 <= age_ns < context.quiet_s * NANOSECONDS for age_ns in ages_ns)
-        grows = old.windows < len(group.entries) < GROWN * old.windows
-        return coming and grows and group.horizon_ns == OPEN_NS and old.before == due.before.key(due.basis)
+        coming = any(0 <= age_ns < context.quiet_s * SECOND_NS for age_ns in ages_ns)
+        grows = old.windows < len(group.entries) < JOBS.growth_factor * old.windows
+        return coming and grows and group.horizon_ns == LATEST_NS and old.before == due.before.key(due.basis)
 
 
 def changed_from(unit: UnitOfWork, lookup: FileLookup, section: str) -> int | None:

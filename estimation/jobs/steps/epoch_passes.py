@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from estimation.jobs.job import JobContext
+from estimation.jobs.parameters import WORK
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.assumptions import Assumed
 from estimation.jobs.steps.load_window import WindowLoader
@@ -24,7 +25,6 @@ from estimation.values.windows import Window, WindowKey, WindowMark, WindowPosit
 
 _Found = tuple[tuple[WindowKey, ...], Sequence[Pass], Reason | None]  # windows, their passes, why there is none
 
-IN_MEMORY = 16
 """Windows, of a megabyte each, whose samples are read together."""
 
 _log = logging.getLogger(__name__)
@@ -84,26 +84,19 @@ def epoch_passes(context: JobContext, chosen: Sequence[Entry], on_file: RunsOnFi
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """The windows of a run with their samples.
+    """The windows of a run with their samples."""
 
-    Attributes:
-        windows: As they are examined.
-        refused: Of the others, why there is none.
-        assumed: What they are looked at with; why they are not.
-        turned: Whether the wheelset is mounted the other way round.
-    """
-
-    windows: Sequence[Window]
-    refused: Sequence[_Found]
-    assumed: Assumed | Reason
-    turned: bool
+    windows: Sequence[Window]  # as they are examined
+    refused: Sequence[_Found]  # of the others, why there is none
+    assumed: Assumed | Reason  # what they are looked at with; why they are not
+    turned: bool  # whether the wheelset is mounted the other way round
 
 
 def _together(groups: Iterable[Sequence[Entry]]) -> Iterator[list[Sequence[Entry]]]:
     """Yield runs whose samples are read in one transaction."""
     together: list[Sequence[Entry]] = []
     for group in groups:
-        if together and sum(map(len, together)) + len(group) > IN_MEMORY:
+        if together and sum(map(len, together)) + len(group) > WORK.passes_in_memory:
             yield together
             together = []
         together.append(group)

@@ -10,6 +10,7 @@ from estimation.errors import DamagedError, NotFoundError
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.model_fit import check_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.jobs.parameters import JOBS
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.assumptions import Assumed, Membership
 from estimation.jobs.steps.load_window import load_window
@@ -84,8 +85,6 @@ def no_geometry(settings: EstimationSettings, parameter_key: str) -> WheelsetGeo
 
 
 CONTRADICTIONS = (ReasonCode.AXLE_DISTANCE, ReasonCode.SENSOR_TURNED, ReasonCode.AXES_REVERSED)
-BEFORE_AND_AFTER_NS = 24 * 3600 * 10**9  # of the time that is looked at
-MOST_SHARE = 0.3  # of all windows that may be refused so: of right vehicles hardly one in a thousand is
 
 
 def contradiction(
@@ -97,9 +96,9 @@ def contradiction(
         refused: Windows of the same wheelset that were refused by one of ``CONTRADICTIONS``, oldest first.
         first_ns, last_ns: Start of the first and of the last of them.
     """
-    first, last = first_ns - BEFORE_AND_AFTER_NS, last_ns + BEFORE_AND_AFTER_NS
+    first, last = first_ns - JOBS.contradiction_span_ns, last_ns + JOBS.contradiction_span_ns
     against = [one.reason for one in refused if one.vehicle in vehicles and first <= one.start_ns <= last]
-    return against[-1] if len(against) > MOST_SHARE * (len(against) + windows) else None
+    return against[-1] if len(against) > JOBS.most_refused_share * (len(against) + windows) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,14 +106,11 @@ class RadiusOnFile:
     """Looks at the windows of one wheelset that stand for many.
 
     What most of them say was computed when they were estimated; of the others the samples are read, once in their life.
-
-    Attributes:
-        fresh: What was computed on the way.
     """
 
     unit: UnitOfWork
     wheelset: str
-    fresh: dict[tuple[int, str], WindowRollingSums] = field(default_factory=dict)
+    fresh: dict[tuple[int, str], WindowRollingSums] = field(default_factory=dict)  # what was computed on the way
     _known: dict[tuple[int, str, str], tuple[RollingSums, ...]] = field(default_factory=dict)
     _checked: dict[tuple[str, ...], Contradiction | None] = field(default_factory=dict)
 

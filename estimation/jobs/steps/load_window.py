@@ -14,6 +14,7 @@ import numpy as np
 
 from estimation.errors import DamagedError, NotFoundError, PurgedError
 from estimation.jobs.job import JobContext
+from estimation.jobs.parameters import WORK
 from estimation.jobs.steps.assumptions import Assumed, ClassLookup
 from estimation.motion.axle_distance import (
     bogie_runs_backwards,
@@ -31,6 +32,7 @@ from estimation.values.registry import Mounting, mounting_of
 from estimation.values.roll_up import MOST_CHOSEN
 from estimation.values.runs import FAILED, Facet, SubjectKind
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
+from estimation.values.units import LATEST_NS
 from estimation.values.windows import (
     Window,
     WindowKey,
@@ -45,8 +47,6 @@ from estimation.vehicle.vehicle_class import VehicleClass
 FACETS = (Facet.REGISTRY, Facet.PLACES, Facet.WINDOWS, FRICTION)
 """Of wheelsets, vehicles and sections: one is raised with whatever a window is estimated with."""
 Stretches = tuple[tuple[float, float], ...]  # from and to, m
-LATEST_NS = 2**63 - 1
-KEPT = 4  # windows, of a megabyte each: both of a bogie need both
 
 
 def load_window(unit: UnitOfWork, record: WindowRecord, vehicle_class: VehicleClass) -> Window | Reason:
@@ -56,13 +56,10 @@ def load_window(unit: UnitOfWork, record: WindowRecord, vehicle_class: VehicleCl
 
 @dataclass(frozen=True, slots=True)
 class WindowLoader:
-    """Loads windows, as one transaction sees them; those that were loaded last are kept for the other of their bogie.
-
-    Attributes:
-        known: Records that the transaction has read; others are looked up.
-    """
+    """Loads windows, as one transaction sees them; the last ones are kept for the other of their bogie."""
 
     unit: UnitOfWork
+    # records that the transaction has read; others are looked up
     known: Mapping[WindowKey, WindowRecord] = field(default_factory=dict)
     _kept: dict[WindowKey, Window] = field(default_factory=dict)
 
@@ -137,7 +134,7 @@ class WindowLoader:
             record = self.known.get(key)
             window = self.unit.windows.load(*key) if record is None else self.unit.windows.samples(record)
             window = without_blows(window)
-            if len(self._kept) >= KEPT:
+            if len(self._kept) >= WORK.loaded_windows:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[key] = window
         return self._kept[key]
@@ -233,19 +230,13 @@ def _facts(unit: UnitOfWork, records: Sequence[WindowRecord]) -> Facts:
 
 @dataclass(frozen=True, slots=True)
 class BatchInputs:
-    """What the windows of a batch are estimated with, as one transaction sees it.
-
-    Attributes:
-        records: Of the windows and of those on the other axles of their bogies.
-        facts: What all of this is of.
-        versions: Of the alignment, on which the windows of epochs are estimated.
-    """
+    """What the windows of a batch are estimated with, as one transaction sees it."""
 
     unit: UnitOfWork
-    records: Mapping[WindowKey, WindowRecord]
-    facts: Facts
+    records: Mapping[WindowKey, WindowRecord]  # of the windows and of those on the other axles of their bogies
+    facts: Facts  # what all of this is of
     found: Mapping[WindowKey, WindowInputs]
-    versions: Mapping[WindowKey, int | None]
+    versions: Mapping[WindowKey, int | None]  # of the alignment, on which the windows of epochs are estimated
 
     def alignment(self, record: WindowRecord) -> TrackAlignment | None:
         """Return the alignment that a window is estimated on: that of its epoch, else the one in force."""
@@ -318,20 +309,16 @@ def _partner_key(mountings: Sequence[Mounting], record: WindowRecord, assumed: A
 
 @dataclass(frozen=True, slots=True)
 class TableInputs:
-    """A window, and what it is estimated with.
-
-    Attributes:
-        window: As its vehicle's class reads it, or why it is not to be used.
-        rolls: Whether somebody will ask for what it says of its rolling radius.
-    """
+    """A window, and what it is estimated with."""
 
     record: WindowRecord
     inputs: WindowInputs
     facts: Facts = field(metadata={"made_from": False})
+    # as its vehicle's class reads it, or why it is not to be used
     window: Window | Reason = field(metadata={"made_from": False})
     track: TrackAlignment | None = field(metadata={"made_from": False})
     layout: TrackLayout | None = field(metadata={"made_from": False})
-    rolls: bool
+    rolls: bool  # whether somebody will ask for what it says of its rolling radius
 
 
 def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> Mapping[str, TableInputs]:

@@ -38,12 +38,7 @@ def measured(
     within_km: float,
     classes: ClassLookup,
 ) -> Measured:
-    """Return the curves of profiles that were measured within ``within_km`` of the windows, by the lathe's last visit.
-
-    Args:
-        records, lives: Windows, and the life of its wheelset for each.
-        within_km: Mileage between measurement and window at which the profile still is what it was.
-    """
+    """Return the curves of profiles measured within ``within_km`` of the windows, by the last visit to the lathe."""
     curves: dict[ProfileLife, MeasuredCurve] = {}
     notes: list[str] = []
     on_file = unit.registry.newest_measurement_of({record.wheelset for record in records})
@@ -100,15 +95,11 @@ ContactSearch = Callable[[WheelPair, Sequence[RailShare]], WheelContact | Reason
 
 @dataclass(frozen=True, slots=True)
 class ComparisonReader:
-    """Reads comparisons in one transaction.
-
-    Attributes:
-        interval_km: Mileage interval of the estimates.
-    """
+    """Reads comparisons in one transaction."""
 
     unit: UnitOfWork
     contact: ContactSearch
-    interval_km: float
+    interval_km: float  # mileage interval of the estimates
 
     def of_wheelset(self, wheelset: WheelsetRecord, measurements: Sequence[MeasuredProfiles]) -> list[Comparison]:
         """Return each of the measurements of a wheelset beside the estimate that belongs to it."""

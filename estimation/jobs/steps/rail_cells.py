@@ -21,8 +21,8 @@ from estimation.values.geometry import BinTable
 from estimation.values.opinions import RailKey, StoredCell, WheelKey
 from estimation.values.reasons import Reason
 from estimation.values.roll_up import Member
+from estimation.values.units import DAY_NS
 
-DAY_NS = 86_400_000_000_000
 CellKey = tuple[WheelKey, RailKey]
 CELL_VERSION = 2
 LOST = "damaged, and its windows are purged"  # in the place of a digest
@@ -40,14 +40,10 @@ class CellWindows:
 
 @dataclass(frozen=True, slots=True)
 class CellToMake:
-    """A cell that is another by now.
+    """A cell that is another by now."""
 
-    Attributes:
-        before: With key, digest and extent; and the reason, where the whole interval is refused.
-        windows: None where it is refused; ``before.digest`` stands for it.
-    """
-
-    before: StoredCell
+    before: StoredCell  # with key, digest and extent; and the reason, where the whole interval is refused
+    # None where it is refused; ``before.digest`` stands for it
     windows: CellWindows | None = field(metadata={"made_from": False})
 
     def made(self) -> StoredCell:
@@ -70,19 +66,13 @@ class CellToMake:
 
 @dataclass(frozen=True, slots=True)
 class WheelsetCells:
-    """What is other by now of the cells of a wheelset.
+    """What is other by now of the cells of a wheelset."""
 
-    Attributes:
-        to_make: Cells with other windows.
-        moved: Cells of purged windows that are of another mileage interval, or refused or not, by now.
-        kept: Cells that are as they were, in an interval with other windows.
-        gone: Cells that there are no more.
-    """
-
-    to_make: tuple[CellToMake, ...] = ()
+    to_make: tuple[CellToMake, ...] = ()  # cells with other windows
+    # cells of purged windows that are of another mileage interval, or refused or not, by now
     moved: tuple[StoredCell, ...] = ()
-    kept: tuple[StoredCell, ...] = ()
-    gone: tuple[CellKey, ...] = ()
+    kept: tuple[StoredCell, ...] = ()  # cells that are as they were, in an interval with other windows
+    gone: tuple[CellKey, ...] = ()  # cells that there are no more
 
 
 def wheelset_cells(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mapping[str, WheelsetCells]:

@@ -13,6 +13,7 @@ from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, 
 from dataclasses import dataclass, replace
 from itertools import groupby
 
+from estimation.jobs.parameters import WORK
 from estimation.jobs.steps.assumptions import Baseline, Membership
 from estimation.motion.mileage import first_reading, known_mileage, read
 from estimation.storage import UnitOfWork
@@ -31,9 +32,6 @@ from estimation.values.roll_up import (
 )
 from estimation.values.windows import DueStage
 
-KEPT_WAITING = 32  # windows that are added again each time before they are rolled: sums are written once for so many
-READ_AHEAD = 256  # packed sums or tables that are held at once, 50 kB each
-READ_TOGETHER = 64  # windows whose mileage is looked at before it is asked whether those behind them have to be, too
 Run = tuple[TabledWindow, float]  # a window with the mileage that the wheelset had run
 Place = tuple[int, int]  # baseline and interval
 
@@ -73,26 +71,20 @@ def by_interval(parts: Iterable[Part]) -> dict[Place, Part]:
 
 @dataclass(frozen=True, slots=True)
 class Rolled:
-    """The roll-ups of a wheelset as they should be, in the order of their keys, beside what is stored.
-
-    Attributes:
-        mileages: By start, of the windows that have another one than is stored of them.
-        looked_at: Start and version of the due windows.
-        dropped: Numbers of roll-ups without windows.
-        again: Whether some were made again, for there is more than windows behind all that were there before.
-    """
+    """The roll-ups of a wheelset as they should be, in the order of their keys, beside what is stored."""
 
     state: RollUpState
     parts: tuple[Part, ...]
-    mileages: Mapping[int, float]
-    looked_at: Mapping[int, int]
-    dropped: tuple[int, ...] = ()
+    mileages: Mapping[int, float]  # by start, of the windows that have another one than is stored of them
+    looked_at: Mapping[int, int]  # start and version of the due windows
+    dropped: tuple[int, ...] = ()  # numbers of roll-ups without windows
+    # whether some were made again, for there is more than windows behind all that were there before
     again: bool = False
 
     @property
     def due(self) -> bool:
         """Whether it is time to store it: else the windows wait, and are added again the next time."""
-        return self.again or len(self.looked_at) >= KEPT_WAITING
+        return self.again or len(self.looked_at) >= WORK.rolled_together
 
 
 def rolled(unit: UnitOfWork, rules: Membership) -> Rolled:
@@ -108,7 +100,7 @@ def read_ahead(unit: UnitOfWork, some: Sequence[Membership]) -> None:
     """Read together what :func:`rolled` asks for one wheelset after the other, of windows that are due."""
     looks = []
     new = {one.wheelset for one in some if unit.roll_ups.state(one.wheelset) is None}
-    if sum(len(unit.due.of_wheelset(DueStage.SUMS, wheelset)) for wheelset in new) <= READ_AHEAD:
+    if sum(len(unit.due.of_wheelset(DueStage.SUMS, wheelset)) for wheelset in new) <= WORK.sums_in_memory:
         unit.tables.read_ahead(wheelsets=sorted(new))  # of these all are due
     for rules in some:
         due, state = unit.due.of_wheelset(DueStage.SUMS, rules.wheelset), unit.roll_ups.state(rules.wheelset)
@@ -121,7 +113,7 @@ def read_ahead(unit: UnitOfWork, some: Sequence[Membership]) -> None:
     unit.tables.read_ahead(readings=[(name, found.baseline.from_ns, at_ns) for name, at_ns, found in looks])
     unit.tables.read_ahead(
         spans=[
-            (name, start_ns, found.baseline.to_ns, READ_TOGETHER)
+            (name, start_ns, found.baseline.to_ns, WORK.mileages_together)
             for name, start_ns, found in looks
             if found.before(unit, name, start_ns) is not None
         ]
@@ -133,10 +125,10 @@ def read_sums_ahead(unit: UnitOfWork, some: Sequence[tuple[str, Rolled]]) -> Non
     changed = [(name, part) for name, found in some for part in found.parts if part.added]
     numbers = [p.roll_up.number for _, p in changed if p.roll_up.number is not None and not p.afresh]
     keys = [(name, member.start_ns) for name, part in changed for member in part.added]
-    if len(numbers) <= READ_AHEAD:
+    if len(numbers) <= WORK.sums_in_memory:
         chosen = {(name, at_ns) for name, part in changed for _, at_ns in part.roll_up.chosen}
         unit.roll_ups.read_ahead(numbers, sorted(chosen))
-    if len(keys) <= READ_AHEAD:
+    if len(keys) <= WORK.sums_in_memory:
         unit.tables.read_ahead(keys=keys)
 
 
@@ -244,7 +236,7 @@ def _changed_from(
 ) -> Generator[Run, None, int]:
     """Yield the changed windows from a time on until those behind keep their mileage; return where that is."""
     baseline, at = mileages.baseline, mileages.before(unit, wheelset, start_ns)
-    from_ns, limit = (baseline.from_ns, None) if at is None else (start_ns, READ_TOGETHER)
+    from_ns, limit = (baseline.from_ns, None) if at is None else (start_ns, WORK.mileages_together)
     rests = False
     while not rests:
         windows = unit.tables.tabled(wheelset, from_ns, baseline.to_ns, limit)

@@ -12,6 +12,7 @@ import numpy as np
 from estimation.accuracy.wheel_contact import AMPLITUDES, RailShare, WheelPair, wheel_contact
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
+from estimation.jobs.parameters import JOBS
 from estimation.jobs.steps.assumptions import Baseline, ClassLookup, baselines, suspected
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.storage import UnitOfWork
@@ -22,10 +23,7 @@ from estimation.values.registry import WheelsetRecord
 from estimation.values.signatures import ConicitySource, DesignPair, KnownSignatures, LibraryEntry, Place
 from estimation.values.track import TrackSectionRecord
 
-LEAST_STD = 0.003  # of a conicity from measured profiles
-WEAR_PER_KM = 1e-6  # std of what wear changes a conicity by, between a signature and what is known of the wheelset
 AT_LIMIT = int(abs(AMPLITUDES - LIMIT_AMPLITUDE).argmin())
-SPEED_BAND = 5.0  # m/s: of each wheelset, place and band the newest signature is an entry
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +34,7 @@ class _Label:
 
     def at(self, mileage_km: float) -> tuple[float, float]:
         """Return conicity and std at another mileage, whose wear is not known."""
-        return self.conicity, float(np.hypot(self.std, WEAR_PER_KM * (mileage_km - self.mileage_km)))
+        return self.conicity, float(np.hypot(self.std, JOBS.conicity_wear_per_km * (mileage_km - self.mileage_km)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,15 +51,11 @@ class Entries:
 
 @dataclass(frozen=True, slots=True)
 class EntryReader:
-    """Finds what the fleet knows of wheelsets, as one transaction sees it.
-
-    Attributes:
-        parameters: How old and how uncertain a conicity may be.
-    """
+    """Finds what the fleet knows of wheelsets, as one transaction sees it."""
 
     unit: UnitOfWork
     classes: ClassLookup
-    parameters: SignatureParameters
+    parameters: SignatureParameters  # how old and how uncertain a conicity may be
     _sections: dict[str, TrackSectionRecord] = field(default_factory=dict)
     _baselines: dict[str, Sequence[Baseline]] = field(default_factory=dict)
     _labels: dict[tuple[str, int], Sequence[_Label]] = field(default_factory=dict)
@@ -90,7 +84,9 @@ class EntryReader:
             for entry in found:
                 place = entry.signature.place
                 if place is not None:
-                    newest[wheelset, entry.baseline, place, int(entry.signature.speed // SPEED_BAND)] = entry
+                    newest[
+                        wheelset, entry.baseline, place, int(entry.signature.speed // self.parameters.speed_band)
+                    ] = entry
         return Entries(tuple(newest.values()), left_out, dict(self._damaged))
 
     def _taught(self, one: KnownSignatures) -> list[LibraryEntry] | ReasonCode:
@@ -185,7 +181,7 @@ class EntryReader:
             conicity = None if isinstance(contact, Reason) else contact.conicity[AT_LIMIT]
             known = None
             if conicity is not None and conicity.value is not None and conicity.std is not None:
-                std = max(conicity.std, LEAST_STD)
+                std = max(conicity.std, self.parameters.least_std)
                 known = (conicity.value, std) if std <= self.parameters.most_std else None
             self._contacts[key] = known
         return self._contacts[key]

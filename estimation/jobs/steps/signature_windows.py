@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field, replace
 
 from estimation.errors import DamagedError, PurgedError, TreadwatchError
 from estimation.jobs.job import JobContext
+from estimation.jobs.parameters import WORK
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.assumptions import Assumed, ClassLookup
 from estimation.jobs.steps.load_window import WindowLoader
@@ -26,7 +27,6 @@ JOB_NAME = "refresh_signatures"
 VERSION = 2
 """Of what signatures are; with another one all are made again."""
 OF_SIGNATURES = ("step", "cell", "block", "wavelengths")
-AT_ONCE = 32  # windows, of a megabyte each
 
 
 def load_assumptions(
@@ -80,24 +80,16 @@ class _Expected:
 
 @dataclass(frozen=True, slots=True)
 class WindowInputs:
-    """What the signatures of a window are made from.
-
-    Attributes:
-        digest: Of the samples.
-        assumed: Digest of class, parameters and layouts.
-        again: Whether there are signatures that were made with other assumptions.
-        without: Name under which a window is counted of which none can be made now; empty for the others.
-        window: None where it cannot.
-    """
+    """What the signatures of a window are made from."""
 
     wheelset: str
     start_ns: int
     vehicle: str
-    digest: str
-    assumed: str
-    again: bool
-    without: str
-    window: Window | Reason | None = field(metadata={"made_from": False})
+    digest: str  # of the samples
+    assumed: str  # digest of class, parameters and layouts
+    again: bool  # whether there are signatures that were made with other assumptions
+    without: str  # name under which a window is counted of which none can be made now; empty for the others
+    window: Window | Reason | None = field(metadata={"made_from": False})  # None where it cannot
     made_with: WindowParameters | None = field(metadata={"made_from": False})
     layout: TrackLayout | None = field(metadata={"made_from": False})
     parameters: SignatureParameters = field(metadata={"made_from": False})
@@ -196,7 +188,7 @@ OF_WINDOWS = Stage(
     compute=sign,
     counted=Counted(looked="windows", changed="results", more=("signed", "without_signature", "made_again")),
     store=store_windows,
-    at_once=AT_ONCE,
+    at_once=WORK.signature_windows,
 )
 
 

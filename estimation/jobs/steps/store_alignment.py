@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from estimation.jobs.job import JobContext
+from estimation.jobs.parameters import JOBS
 from estimation.jobs.steps.assumptions import ClassLookup
 from estimation.jobs.steps.epoch_inputs import Due, given
 from estimation.jobs.steps.epoch_passes import Solved, place_windows
@@ -17,20 +18,10 @@ from estimation.track.settings import AlignmentSettings, changed_vehicles, requi
 from estimation.track.update import AlignmentUpdate
 from estimation.values.fields import JsonValue
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
-from estimation.values.track import (
-    Correction,
-    FoldState,
-    FoundOfVehicles,
-    TrackAlignment,
-    TrackEpoch,
-    TrackReport,
-)
+from estimation.values.track import Correction, FoldState, FoundOfVehicles, TrackAlignment, TrackEpoch, TrackReport
 from estimation.values.trend import SuspensionFinding
 from estimation.values.windows import WindowKey, WindowRecord
 from estimation.vehicle.vehicle_class import ClassOnFile
-
-LEARNT = 0.7  # of the std beforehand: with more, the passes say nothing of the ratio
-
 
 _UNDECIDED = {None, ReasonCode.SURVEY_NOT_ASSESSABLE, ReasonCode.MODEL_CONTRADICTED}  # a survey is judged again
 
@@ -109,7 +100,7 @@ def _store_suspensions(unit: UnitOfWork, epoch: TrackEpoch, computed: Computed, 
         return
     for code, ratio in sorted(iterated.ratios.items()):
         own = [record for record in records if record.vehicle == code]
-        if not own or code not in computed.classes or not 0.0 < ratio.std <= LEARNT * PRIOR_STD:
+        if not own or code not in computed.classes or not 0.0 < ratio.std <= JOBS.learnt_std_share * PRIOR_STD:
             continue
         vehicle = computed.classes[code].vehicle_class.parameters
         finding = SuspensionFinding(
@@ -164,8 +155,7 @@ def _after(unit: UnitOfWork, computed: Computed, context: JobContext) -> FoldSta
 def is_hardly_another(base: TrackAlignment | None, update: AlignmentUpdate, settings: AlignmentSettings) -> bool:
     """Return whether what an epoch makes of the alignment is, for its windows, the one that was in force before.
 
-    Args:
-        base: The oldest version from which the one in force does not differ materially; None where there is none.
+    ``base`` is the oldest version from which the one in force does not differ materially.
     """
     if base is None:
         return False

@@ -11,11 +11,13 @@ import numpy as np
 
 from estimation.accuracy.wheel_contact import RailShare
 from estimation.alerts.identity import IDENTITY_EVENT, IdentityEvent
+from estimation.alerts.parameters import FINDINGS
 from estimation.alerts.rule_book import RuleBook
-from estimation.alerts.rules.rule import LOOK_BACK, LOOK_BACK_INTERVALS, WheelsetFacts, reach_km, within_reach
+from estimation.alerts.rules.rule import WheelsetFacts, reach_km, within_reach
 from estimation.alerts.rules.running_gear import HuntingRule
 from estimation.alerts.rules.sensor_data import DataQualityRule, SensorFaultRule
 from estimation.alerts.rules.wheels import WheelFlatRule
+from estimation.jobs.parameters import JOBS, WORK
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.assumptions import identity_changes
 from estimation.rails.cell import conicity_on_rails, designed_wheel
@@ -41,15 +43,10 @@ from estimation.values.windows import WindowRecord
 
 T = TypeVar("T")
 RESULTS = (TREND, IDENTITY_EVENT, SUSPENSION, GEAR_DAMPERS)
-MORE = 8  # times as many windows are read where those that were read do not reach back far enough
 
 
 def facts_of(unit: UnitOfWork, serials: Sequence[str], settings: JobSettings) -> Mapping[str, WheelsetFacts]:
-    """Return what the rules need of some wheelsets, by serial: few statements for all.
-
-    Args:
-        settings: Of all jobs.
-    """
+    """Return what the rules need of some wheelsets, by serial: few statements for all."""
     read = _Read.of(unit, serials, settings)
     histories = {one.serial: _history(read, one) for one in read.wheelsets}
     wanted = {serial: _looked_at(known, read.books[serial]) for serial, known in histories.items() if known}
@@ -62,24 +59,18 @@ def facts_of(unit: UnitOfWork, serials: Sequence[str], settings: JobSettings) ->
 
 @dataclass(frozen=True, slots=True)
 class _Read:
-    """What was read of some wheelsets and their vehicles together.
-
-    Attributes:
-        books: Of the fleet and class of each wheelset: they say how far back their rules look.
-        mounted: Serials of the wheelsets of each vehicle, by axle.
-        steps: Steps of the trends beside each wheelset whose own trend has one.
-    """
+    """What was read of some wheelsets and their vehicles together."""
 
     settings: JobSettings
     wheelsets: Sequence[WheelsetRecord]
     vehicles: Mapping[str, VehicleRecord]
-    books: Mapping[str, RuleBook]
-    mounted: Mapping[str, Sequence[str]]
+    books: Mapping[str, RuleBook]  # of the fleet and class of each wheelset: they say how far back their rules look
+    mounted: Mapping[str, Sequence[str]]  # serials of the wheelsets of each vehicle, by axle
     alerts: Mapping[str, Sequence[Alert]]
     geometries: Mapping[str, GeometryRecord]
     conicities: Mapping[str, Sequence[IntervalConicities]]
     trends: Mapping[str, TrendRecord]
-    steps: Mapping[str, Sequence[TrendStep | None]]
+    steps: Mapping[str, Sequence[TrendStep | None]]  # steps of the trends beside each wheelset whose own trend has one
     rails: frozenset[RailShare]
     changes: Mapping[str, IdentityChange]
     identities: Mapping[str, IdentityEvent]
@@ -236,7 +227,7 @@ def _history(read: _Read, wheelset: WheelsetRecord) -> Sequence[IntervalConiciti
 def _looked_at(conicities: Sequence[IntervalConicities], book: RuleBook) -> Sequence[IntervalConicities]:
     """Return the newest intervals, as many as any rule looks at."""
     far_km = max(reach_km(rule.delays) for rule in book.rules)
-    return conicities[-within_reach([one.mileage_km for one in conicities], LOOK_BACK_INTERVALS, far_km) :]
+    return conicities[-within_reach([one.mileage_km for one in conicities], FINDINGS.look_back_intervals, far_km) :]
 
 
 def _span(intervals: Sequence[IntervalConicities]) -> tuple[int, int]:
@@ -259,7 +250,7 @@ def windows_wanted(book: RuleBook) -> tuple[int, float]:
     rules = (book.rule(SensorFaultRule), book.rule(HuntingRule), book.rule(DataQualityRule))
     flats = book.rule(WheelFlatRule)
     wanted = max(flats.latest_windows, *(rule.latest_windows for rule in rules))
-    return LOOK_BACK * wanted, max(reach_km(rule.delays) for rule in (*rules, flats))
+    return FINDINGS.look_back_factor * wanted, max(reach_km(rule.delays) for rule in (*rules, flats))
 
 
 def _latest_windows(
@@ -279,7 +270,7 @@ def _latest_windows(
             if as_far or len(windows) < count:
                 latest[serial] = windows[-within_reach(mileages, least, far_km) :] if windows else (), newest
                 del wanted[serial]
-        count *= MORE
+        count *= WORK.windows_factor
     return latest
 
 
@@ -287,9 +278,6 @@ def newest_mileage(windows: Sequence[WindowRecord]) -> MileageNow | None:
     """Return the newest mileage of windows, oldest first, that is believed; None where none is."""
     believed = (window for window in reversed(windows) if window.implausible is None)
     return next((MileageNow(window.mileage_km, window.start_ns) for window in believed), None)
-
-
-AMPLITUDES = (1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3)  # m, at which a profile behind a step is compared with its design
 
 
 def step_of(record: TrendRecord | None, wheelset: WheelsetRecord) -> TrendStep | None:
@@ -303,13 +291,7 @@ def surroundings(
     beside: Sequence[TrendStep | None],
     rails: Collection[RailShare],
 ) -> StepSurroundings:
-    """Return what else is known about the time of a step: the design of the wheel, and the other wheelsets.
-
-    Args:
-        behind: Its intervals behind the step.
-        beside: Steps of the other wheelsets of its vehicle that have a trend.
-        rails: Of all sections.
-    """
+    """Return what is known about the time of a step: the design of the wheel, and trends of wheelsets ``beside`` it."""
     newest = max(behind, key=lambda one: one.to_ns, default=None)
     return StepSurroundings(() if newest is None else newest.known, _designed(wheelset, rails), tuple(beside))
 
@@ -323,12 +305,12 @@ def _designed(wheelset: WheelsetRecord, rails: Collection[RailShare]) -> Mapping
     if len(rails) != 1:
         return None  # on several kinds of rails no one conicity is that of the design
     found = _conicities(wheelset.wheel_profile, wheelset.nominal_radius_m, next(iter(rails)))
-    return {at: value for at, value in zip(AMPLITUDES, found, strict=True) if np.isfinite(value)} or None
+    return {at: value for at, value in zip(JOBS.design_amplitudes, found, strict=True) if np.isfinite(value)} or None
 
 
 @lru_cache(64)
 def _conicities(profile: str, radius: float, rails: RailShare) -> tuple[float, ...]:
     wheel = designed_wheel(profile, radius)
     if wheel is None:
-        return (float("nan"),) * len(AMPLITUDES)
-    return tuple(conicity_on_rails(wheel, rails, np.array(AMPLITUDES))[0].tolist())
+        return (float("nan"),) * len(JOBS.design_amplitudes)
+    return tuple(conicity_on_rails(wheel, rails, np.array(JOBS.design_amplitudes))[0].tolist())

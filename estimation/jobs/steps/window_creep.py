@@ -18,21 +18,17 @@ from estimation.storage import UnitOfWork
 from estimation.values.opinions import WindowAdhesion, WindowDamper
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout, TrackSectionRecord
+from estimation.values.units import HOUR_NS
 from estimation.values.windows import Window, WindowKey, WindowRecord
 
 
 @dataclass(slots=True)
 class Gear:
-    """A running gear at a time; its forces are found once for all of its wheelsets, where one is first asked for.
+    """A running gear at a time; its forces are found once for all of its wheelsets, where one is first asked for."""
 
-    Attributes:
-        windows: The axle first that meets the track first.
-        content_digest: Of the samples of its first axle; None where it says nothing of the damper.
-    """
-
-    windows: tuple[Window, ...]
+    windows: tuple[Window, ...]  # the axle first that meets the track first
     assumed: Assumed
-    content_digest: str | None
+    content_digest: str | None  # of the samples of its first axle; None where it says nothing of the damper
     _forces: tuple[ContactForces, ...] | Reason | None = None
     damper: WindowDamper | None = None
 
@@ -50,11 +46,7 @@ class Gear:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A window on the track that it ran on.
-
-    Attributes:
-        place: Of the window in its gear.
-    """
+    """A window on the track that it ran on."""
 
     window: Window
     track: TrackAlignment | None
@@ -63,19 +55,15 @@ class Run:
     assumed: Assumed
     own: AdhesionInputs
     gear: Gear | Reason
-    place: int
+    place: int  # of the window in its gear
 
 
 @dataclass(frozen=True, slots=True)
 class CreepInputs:
-    """What the creep of a window is found from.
-
-    Attributes:
-        refused: What is said of it where it is not used.
-    """
+    """What the creep of a window is found from."""
 
     record: WindowRecord
-    refused: Reason | None
+    refused: Reason | None  # what is said of it where it is not used
     run: Run | None = field(default=None, metadata={"made_from": False})
 
 
@@ -193,9 +181,6 @@ class _Batch:
         record = self.inputs.records.get((first.wheelset, first.start_ns))
         says = record is not None and record.implausible is None and looked_at(first)
         return Gear(tuple(loaded), assumed, record.content_digest if says and record is not None else None)
-
-
-HOUR_NS = 3_600_000_000_000
 
 
 def pooled_ns(rule: LowAdhesionRule) -> int:

@@ -18,13 +18,10 @@ from estimation.filters import high_pass
 from estimation.track.gridded_pass import GriddedPass
 from estimation.track.panel.basis import Panel, gauge_at, gauge_curves, pass_residual
 from estimation.track.panel.solution import PanelSolution
+from estimation.track.parameters import TRACK
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.track import GaugeShift
-
-FEWEST_PASSES = 6  # at a place, to separate two functions of it
-MAX_CG_STEPS = 14
-CG_TOLERANCE = 1e-3  # of the residual's norm, relative to the right side
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +60,7 @@ def gauge_step(
     for one in rows:
         count[one.points[one.inside]] += 1
         weight[one.points[one.inside]] += one.root**2
-    share = np.where(count >= FEWEST_PASSES, 1.0 / np.where(weight > 0.0, weight, 1.0), 0.0)
+    share = np.where(count >= TRACK.fewest_place_passes, 1.0 / np.where(weight > 0.0, weight, 1.0), 0.0)
     reach = int(np.ceil(2 * prior.smooth / panel.grid.step))
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * panel.grid.step * 2.5 / prior.smooth) ** 2)
     smooth = np.asarray(kernel / np.sqrt((kernel**2).sum()))  # a process of unit variance driven by white noise
@@ -109,7 +106,7 @@ class _GaugeSystem:
 
         operator = LinearOperator((n, n), matvec=lambda u: self._normal(u) + ridge * u, dtype=np.float64)
         right = self._smoothed(self._adjoint(self._without_alignment([one.residual for one in self.rows])))
-        u, failed = cg(operator, right, rtol=CG_TOLERANCE, atol=0.0, maxiter=MAX_CG_STEPS, callback=count)
+        u, failed = cg(operator, right, rtol=TRACK.cg_tolerance, atol=0.0, maxiter=TRACK.most_cg_steps, callback=count)
         return self._smoothed(np.asarray(u)), failed == 0, steps
 
     def _normal(self, u: FloatArray) -> FloatArray:
@@ -182,7 +179,7 @@ def search_gauge(
     disagreement = squares - sums**2 / np.where(count > 0.0, count, 1.0)[:, None]
     cost = disagreement / (2.0 * parameters.noise**2)
     cost = np.minimum(cost - cost.min(axis=1, keepdims=True), parameters.most_cost)
-    enough = met >= FEWEST_PASSES
+    enough = met >= TRACK.fewest_place_passes
     cost[~enough] = 0.0
     gauge = levels[_best_way(cost + 0.5 * (levels / parameters.std) ** 2, levels / parameters.change)]
     return np.asarray(np.where(enough, gauge - gauge[enough].mean(), 0.0)) if enough.any() else gauge

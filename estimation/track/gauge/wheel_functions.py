@@ -38,18 +38,39 @@ from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.quantities import jackknife_std
 from estimation.values.track import GaugeShift
 
-KNOT_STEP = 0.125e-3  # m
-KNOTS: FloatArray = np.asarray(np.arange(-80, 81) * KNOT_STEP, dtype=np.float64)  # m
-ROUGHNESS = 1e-5  # relative to the data
-INLIER_MISFIT = 0.5e-3  # m of misfit: further off are impacts and their filtered traces
-DIFFERENCES = np.linspace(-6e-3, 6e-3, 161)  # m
-GAUGES: FloatArray = np.asarray(np.arange(-32, 33) * 0.25e-3, dtype=np.float64)  # m
-REACH = np.arange(-440, 441) * 25e-6  # m of x in which R is looked for
-LEAST_SLOPE = 0.02  # of R over x: no wheelset has less
-FACTORS = (0.5, 0.65, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0)
-MOST_WHEELSETS = 6  # that a factor is estimated from
+
+@dataclass(frozen=True, slots=True)
+class WheelFunctionParameters:
+    """How wheel functions are fitted to passes on gauge that varies."""
+
+    knot_step: float = 0.125e-3  # m
+    roughness_weight: float = 1e-5  # relative to the data
+    inlier_misfit: float = 0.5e-3  # m of misfit: further off are impacts and their filtered traces
+    least_slope: float = 0.02  # of R over x: no wheelset has less
+    size_factors: tuple[float, ...] = (0.5, 0.65, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0)
+    most_wheelsets: int = 6  # that a factor is estimated from
+    far_quantile: float = 0.8  # quantile of |R|
+    most_residual: float = 1e-3  # m of residual
+    least_knot_samples: float = 300.0  # samples of a knot that count
+    gauge_effect: float = 0.2  # m of h1 for a metre of gauge, rms: half is the most, at the flange
+    mixture_angles_deg: tuple[float, ...] = (0.0, 45.0, 90.0, 135.0)  # degrees between the two leading vectors
+    trial_length: float = 4000.0  # m
+    least_gauge_std: float = 0.3e-3  # m, std in the first trial: noise alone makes less, and as little would not matter
+    knots: int = 80  # to either side
+    most_difference: float = 6e-3  # m of R, of a gauge shift
+    difference_points: int = 161
+    gauge_step: float = 0.25e-3  # m
+    gauges: int = 32  # to either side
+    reach_step: float = 25e-6  # m of x in which R is looked for
+    reach_points: int = 440  # to either side
+
+
+WHEELS = WheelFunctionParameters()
+KNOTS: FloatArray = np.asarray(WHEELS.knot_step * np.arange(-WHEELS.knots, WHEELS.knots + 1), dtype=np.float64)  # m
+DIFFERENCES = np.linspace(-WHEELS.most_difference, WHEELS.most_difference, WHEELS.difference_points)
+GAUGES: FloatArray = np.asarray(WHEELS.gauge_step * np.arange(-WHEELS.gauges, WHEELS.gauges + 1), dtype=np.float64)  # m
+REACH = WHEELS.reach_step * np.arange(-WHEELS.reach_points, WHEELS.reach_points + 1)
 CURVE_KNOTS = DIFFERENCES[::2]  # m
-FAR = 0.8  # quantile of |R|
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +99,7 @@ class ContactSamples:
 
     def inliers(self, every: int = 1) -> ContactSamples:
         """Return every so many of those that the model reaches."""
-        near = np.flatnonzero(np.abs(self.misfit) < INLIER_MISFIT)[::every]
+        near = np.flatnonzero(np.abs(self.misfit) < WHEELS.inlier_misfit)[::every]
         return ContactSamples(self.displacement[near], self.misfit[near], self.difference[near], self.gauge[near])
 
 
@@ -107,7 +128,7 @@ def fit_wheels(seen: ContactSamples, factor: float = 1.0) -> WheelFunctions:
     bend = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(k - 2, k))
     smooth = sparse.block_diag([bend.T @ bend, bend.T @ bend])
     level = sparse.csr_matrix(np.ones((1, 2 * k)) / k)  # a constant belongs to either wheel
-    known = scale * (ROUGHNESS * smooth + 1e-10 * sparse.eye(2 * k) + 1e-6 * (level.T @ level))
+    known = scale * (WHEELS.roughness_weight * smooth + 1e-10 * sparse.eye(2 * k) + 1e-6 * (level.T @ level))
     both = spsolve((normal + known).tocsc(), B.T @ seen.difference)
     return WheelFunctions(KNOTS, both[:k], both[k:])
 
@@ -116,7 +137,7 @@ def gauge_shift_of(wheels: WheelFunctions) -> GaugeShift:
     """Return where a gauge deviation puts a wheelset with ``wheels``: R(x, e) solved for x, less that at e = 0."""
     x, e = np.meshgrid(REACH, GAUGES, indexing="ij")
     R = wheels.difference(x, e)
-    rise = np.maximum(np.diff(R, axis=0), LEAST_SLOPE * np.diff(REACH)[:, None])  # jumps down are never run
+    rise = np.maximum(np.diff(R, axis=0), WHEELS.least_slope * np.diff(REACH)[:, None])  # jumps down are never run
     rising = np.concatenate([np.zeros((1, len(GAUGES))), np.cumsum(rise, axis=0)])
     middle = len(REACH) // 2
     rising += R[middle] - rising[middle]
@@ -160,17 +181,18 @@ def gauge_factor_with_std(seen: Mapping[ProfileLife, ContactSamples]) -> tuple[f
 
 def _misfits_by_factor(seen: Mapping[ProfileLife, ContactSamples]) -> FloatArray:
     """Return how badly the wheels of some wheelsets fit with each factor (w, f), m2."""
-    some = [one.inliers(2) for _, one in sorted(seen.items())][:: max(len(seen) // MOST_WHEELSETS, 1)][:MOST_WHEELSETS]
-    return np.array([[_misfit_wheels(one, factor) for factor in FACTORS] for one in some])
+    most = WHEELS.most_wheelsets
+    some = [one.inliers(2) for _, one in sorted(seen.items())][:: max(len(seen) // most, 1)][:most]
+    return np.array([[_misfit_wheels(one, factor) for factor in WHEELS.size_factors] for one in some])
 
 
 def _best_factor(misfits: FloatArray) -> float:
-    best = min(max(int(np.argmin(misfits)), 1), len(FACTORS) - 2)
+    best = min(max(int(np.argmin(misfits)), 1), len(WHEELS.size_factors) - 2)
     near = slice(best - 1, best + 2)
-    bend, slope, _ = np.polyfit(np.log(FACTORS[near]), misfits[near], 2)
+    bend, slope, _ = np.polyfit(np.log(WHEELS.size_factors[near]), misfits[near], 2)
     if bend <= 0:
-        return FACTORS[best]
-    return float(np.clip(np.exp(-slope / (2 * bend)), FACTORS[best - 1], FACTORS[best + 1]))
+        return WHEELS.size_factors[best]
+    return float(np.clip(np.exp(-slope / (2 * bend)), WHEELS.size_factors[best - 1], WHEELS.size_factors[best + 1]))
 
 
 def gauge_sign(seen: Mapping[ProfileLife, ContactSamples], shifts: Mapping[ProfileLife, GaugeShift]) -> int:
@@ -179,7 +201,7 @@ def gauge_sign(seen: Mapping[ProfileLife, ContactSamples], shifts: Mapping[Profi
     # from what wheels are, steeper towards the flange: far from the centre a wheelset runs further out in wide gauge.
     outwards = 0.0  # per millimetre of gauge
     for name, one in seen.items():
-        R = one.difference[np.abs(one.difference) >= np.quantile(np.abs(one.difference), FAR)]
+        R = one.difference[np.abs(one.difference) >= np.quantile(np.abs(one.difference), WHEELS.far_quantile)]
         wide, narrow = (shifts[name].at(R, np.full(len(R), gauge)) for gauge in (0.5e-3, -0.5e-3))
         outwards += float(np.mean(np.sign(R) * (wide - narrow)))
     return 1 if outwards >= 0 else -1
@@ -202,24 +224,16 @@ def _hats(u: FloatArray, knots: FloatArray) -> sparse.csr_matrix:
     return sparse.csr_matrix((values, (np.concatenate([row, row]), at)), shape=(len(u), len(knots)))
 
 
-CLIPPED = 1e-3  # m of residual
-FEWEST = 300.0  # samples of a knot that count
-SIZE = 0.2  # m of h1 for a metre of gauge, rms: half is the most, at the flange
-MIXTURES = (0.0, 45.0, 90.0, 135.0)  # degrees between the two leading vectors
-TRIAL_LENGTH = 4000.0  # m
-LEAST_GAUGE = 0.3e-3  # m, std in the first trial: noise alone makes less, and as little would not matter
-
-
 def initial_gauge_effect(
     passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel, prior: GaugePrior
 ) -> FloatArray | None:
     """Return h1 (w, gauge_basis_count), m a ``gauge_unit``, from a panel without; None where gauge hardly varies."""
     first, second, weight = _leading_vectors(passes, solution, panel)
     candidates = []
-    for degrees in MIXTURES:
+    for degrees in WHEELS.mixture_angles_deg:
         mixed = np.cos(np.radians(degrees)) * first + np.sin(np.radians(degrees)) * second
         size = np.sqrt((mixed**2 * weight).sum() / weight.sum())
-        odd = mixed * SIZE * panel.parameters.gauge_unit / size
+        odd = mixed * WHEELS.gauge_effect * panel.parameters.gauge_unit / size
         candidates.append(np.concatenate([-odd[:, :0:-1], np.zeros((len(odd), 1)), odd[:, 1:]], axis=1))
     return _best_candidate(candidates, solution.lives, passes, panel, prior)
 
@@ -234,7 +248,7 @@ def _leading_vectors(
         at = item.used_points
         residual = pass_residual(item, curve, panel)[item.inside] - solution.alignment[at]
         known = np.isfinite(residual)
-        residual = item.side * np.clip(np.where(known, residual, 0.0), -CLIPPED, CLIPPED)
+        residual = item.side * np.clip(np.where(known, residual, 0.0), -WHEELS.most_residual, WHEELS.most_residual)
         R = item.difference[item.inside]
         basis = basis_functions(np.minimum(np.abs(R), panel.parameters.reach), knots) * known
         products = panel.weight_of(item.life) * basis * np.sign(R) * residual
@@ -243,7 +257,7 @@ def _leading_vectors(
         sums[at, columns] += item.side * products.T
         own[columns, columns] += products @ products.T
         count[columns] += basis.sum(axis=1)
-    weight = np.maximum(count, FEWEST)
+    weight = np.maximum(count, WHEELS.least_knot_samples)
     covariance = (sums.T @ sums - own) / np.sqrt(np.outer(weight, weight))
     _, vectors = np.linalg.eigh(covariance)
     second, first = (vectors[:, -2:] / np.sqrt(weight)[:, None]).T
@@ -259,7 +273,7 @@ def _best_candidate(
 ) -> FloatArray | None:
     """Return the candidate with which one round leaves the least on a part of the section; None without a gauge."""
     section = panel.grid.length
-    length = min(TRIAL_LENGTH, section)
+    length = min(WHEELS.trial_length, section)
     begin = 0.5 * (section - length)
     parameters = replace(panel.parameters, length=length)
     small = replace(panel, parameters=parameters, grid=Panel.of(parameters).grid, gauge=None)
@@ -268,16 +282,16 @@ def _best_candidate(
         for item in passes
         if (cut := _cut(item.source, begin, begin + length)) is not None
     ]
-    start = result(update(init(small), part), std=False)
+    start = result(update(init(small), part), std=False, parameters=panel.parameters)
     zero = small.with_gauge(np.zeros(small.grid.points))
     kept = [lives.index(life) for life in start.lives]
     residuals: list[float] = []
     for effect in candidates:
         gauge, _, _ = gauge_step(part, with_gauge_effect(start, effect[kept], zero), zero, prior)
-        if not residuals and gauge.std() < LEAST_GAUGE:
+        if not residuals and gauge.std() < WHEELS.least_gauge_std:
             return None
         state = update(init(small.with_gauge(gauge)), part)
-        residuals.append(residual_of_passes(state, result(state, std=False)))
+        residuals.append(residual_of_passes(state, result(state, std=False, parameters=panel.parameters)))
     return candidates[int(np.argmin(residuals))]
 
 

@@ -24,13 +24,10 @@ from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, rail_profile
 from estimation.filters import high_pass
 from estimation.track.gridded_pass import GriddedPass, SectionGrid
+from estimation.track.parameters import TRACK
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, as_slice
 from estimation.values.track import GaugeShift
-
-REACH = 8e-3  # m of lateral displacement
-STEP = 0.05e-3  # m
-ROOM = 0.2e-3  # m beyond the contact table within which a measured profile has no weight
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +41,7 @@ class MeasuredCurve(FrozenArrays):
 
     def at(self, knots: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the displacement (k,), m, at some rL - rR (k,), m, and 1 where the profiles reach it, else 0 (k,)."""
-        reached = (knots >= self.difference[0] + ROOM) & (knots <= self.difference[-1] - ROOM)
+        reached = (knots >= self.difference[0] + TRACK.table_edge) & (knots <= self.difference[-1] - TRACK.table_edge)
         return np.interp(knots, self.difference, self.displacement), reached.astype(np.float64)
 
     @property
@@ -71,7 +68,8 @@ def measured_curve(
     """
     rails = rail_profile(rail)
     wheelset = WheelsetOnTrack(left, right, rails, rails, inclination, gauge)
-    x = STEP * np.arange(-round(REACH / STEP), round(REACH / STEP) + 1)
+    steps = round(TRACK.basis_reach / TRACK.basis_step)
+    x = TRACK.basis_step * np.arange(-steps, steps + 1)
     curve = radius_difference_curve(wheelset, x, method=ContactMethod.EN15302 if at_rails else ContactMethod.RIGID)
     x, R = curve.displacement, curve.difference
     risen = np.maximum.accumulate(R)  # h(R) is the inverse of what rises: a step of R is a flat of h
@@ -97,6 +95,21 @@ class PanelParameters:
     block: float = 250.0  # m
     roughness: float = 1e-3  # of h, relative to the data
     least_passes: int = 3  # at a grid point
+    least_diversity: float = 0.05
+    least_wheelsets: int = 2
+    gauge_ridge: float = 1e-4  # of h1 and h2 per knot, relative to the data of a knot of h0
+    stiffness_term_prior: float = 2e-7  # m2: variance of a pass over that of the coefficient of the stiffness term
+    pass_std: float = 0.12e-3  # m of y - d - h(R) of a pass, as measured profiles are weighed against it
+    correlated_samples: float = 20.0  # samples of a pass whose errors are one
+    independent_parts: float = 4.0  # of a measured curve, whose errors are their own
+    fixed_curve_weight: float = 100.0  # times the data of a knot: a curve that only the measurement determines
+    slope_reach: float = 20.0  # m, of the filter to both sides
+    ridge: float = 1e-4  # of its coefficients, relative to the data
+    least_correlation: float = 0.3  # of h(z) and h(R) between the passes of a place: below, the instrument is weak
+    systematic_share: float = 0.15  # of 1 / r2 - 1: std of the factor that blocks of data cannot show
+    ratio_systematic_std: float = 0.02  # relative, of a model of small terms: blocks of data cannot show it
+    least_explained: float = 0.67  # a smaller share says that something else is wrong
+    damping: float = 0.6  # of a step: position and ratio would each make up for the other's error
 
     @property
     def knots(self) -> FloatArray:

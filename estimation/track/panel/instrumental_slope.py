@@ -22,12 +22,10 @@ from estimation.filters import high_pass
 from estimation.track.gridded_pass import GriddedPass
 from estimation.track.panel.basis import Panel, PanelState, curve_displacement, groups_of, known_shift
 from estimation.track.panel.solution import PanelSolution, curves_of_sum
+from estimation.track.parameters import TRACK
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.quantities import jackknife_std
-
-EXCESS_SHARE = 1.4  # of 1 / r2 - 1, by which curves are too flat
-EXCESS_STD = 0.5  # of 1 / r2 - 1: what is not known of that
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +51,7 @@ def slope_correction(state: PanelState, solution: PanelSolution) -> SlopeCorrect
         return SlopeCorrection(1.0, float("inf"), 0.0)
     explained = min(along**2 / (own * whole), 1.0)
     excess = 1.0 / explained - 1.0
-    return SlopeCorrection(1.0 + EXCESS_SHARE * excess, EXCESS_STD * excess, explained)
+    return SlopeCorrection(1.0 + TRACK.flattening_share * excess, TRACK.flattening_std * excess, explained)
 
 
 def corrected(state: PanelState, solution: PanelSolution, factor: float) -> PanelSolution:
@@ -83,12 +81,6 @@ def common_slope(solution: PanelSolution, other: PanelSolution) -> float:
     return along / own if along > 0.0 else 1.0
 
 
-REACH = 20.0  # m, of the filter to both sides
-RIDGE = 1e-4  # of its coefficients, relative to the data
-LEAST_CORRELATION = 0.3  # of h(z) and h(R) between the passes of a place: below, the instrument is weak
-SYSTEMATIC_SHARE = 0.15  # of 1 / r2 - 1: std of the factor that blocks of data cannot show
-
-
 @dataclass(frozen=True, slots=True)
 class _Filtered:
     source: GriddedPass
@@ -104,14 +96,14 @@ def with_instrument(
         return slope  # the curves explain nothing, and nothing is known of their slope
     sums = _sums(passes, solution, panel)
     along, own, of_instrument, of_curves = sums.sum(axis=0)
-    if not along > LEAST_CORRELATION * float(np.sqrt(of_instrument * of_curves)):
+    if not along > panel.parameters.least_correlation * float(np.sqrt(of_instrument * of_curves)):
         return slope
     left = sums.sum(axis=0) - sums
     if not (left[:, 0] > 0.0).all():
         return slope
     factors = np.concatenate([[own / along], left[:, 1] / left[:, 0]])
     excess = 1.0 / slope.explained - 1.0
-    std = float(np.hypot(jackknife_std(factors[:, None])[0], SYSTEMATIC_SHARE * excess))
+    std = float(np.hypot(jackknife_std(factors[:, None])[0], panel.parameters.systematic_share * excess))
     if not std < slope.std:
         return slope
     known = np.array([std, slope.std]) ** -2
@@ -126,7 +118,7 @@ def _sums(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel) 
     for one in filtered:
         summed[one.source.used_points] += one.displacement[one.source.inside]
         passed[one.source.used_points] += 1.0
-    mean, taps = summed / np.maximum(passed, 1.0), 2 * int(REACH / grid.step) + 1
+    mean, taps = summed / np.maximum(passed, 1.0), 2 * int(panel.parameters.slope_reach / grid.step) + 1
     # where enough have passed within the reach of the filter
     known = np.convolve(passed >= panel.parameters.least_passes, np.ones(taps), "same") > taps - 0.5
     predicted = _predictions(filtered, mean, known, panel)
@@ -160,7 +152,7 @@ def _predictions(
     filtered: Sequence[_Filtered], mean: FloatArray, known: BoolArray, panel: Panel
 ) -> dict[ProfileLife, FloatArray]:
     """Return z (n,), m, of every wheelset: the mean displacement through the filter that fits its R best."""
-    reach = int(REACH / panel.grid.step)
+    reach = int(panel.parameters.slope_reach / panel.grid.step)
     shifted = np.lib.stride_tricks.sliding_window_view(np.pad(mean, reach), 2 * reach + 1)
     normal: dict[ProfileLife, FloatArray] = {}
     right: dict[ProfileLife, FloatArray] = {}
@@ -169,7 +161,7 @@ def _predictions(
         X, life = shifted[one.source.points[used]], one.source.life
         normal[life] = normal.get(life, 0.0) + X.T @ X
         right[life] = right.get(life, 0.0) + X.T @ one.difference[used]
-    size = {life: RIDGE * max(float(np.trace(N)) / len(N), 1e-30) for life, N in normal.items()}
+    size = {life: panel.parameters.ridge * max(float(np.trace(N)) / len(N), 1e-30) for life, N in normal.items()}
     return {
         life: np.asarray(shifted @ np.linalg.solve(N + size[life] * np.eye(len(N)), right[life]))
         for life, N in normal.items()
@@ -192,10 +184,7 @@ def _at(values: FloatArray | BoolArray, points: IntArray, panel: Panel) -> np.nd
     return values[np.clip(points, 0, panel.grid.points - 1)]
 
 
-PRIOR_STD = 0.15  # of the ratio, relative
-SYSTEMATIC_STD = 0.02  # of the ratio, relative: a model of small terms is left, blocks of data cannot show it
-LEAST_EXPLAINED = 0.67  # a smaller share says that something else is wrong
-DAMPING = 0.6  # of a step: position and ratio are refined at once, and each would make up for the other's error
+PRIOR_STD = TRACK.ratio_prior_std
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +231,7 @@ def refine_ratios(
         squares[vehicle] = squares.get(vehicle, 0.0) + slopes[w] ** 2
     result = {}
     flattened = _stiffness_shares(passes)
-    excess = 1.0 / max(explained, LEAST_EXPLAINED) - 1.0
+    excess = 1.0 / max(explained, panel.parameters.least_explained) - 1.0
     for vehicle, numerator in numerators.items():
         if not squares[vehicle] > 0.0:
             continue  # its passes met nothing
@@ -253,7 +242,7 @@ def refine_ratios(
             data_std = 0.0  # not computed in this round
         data_std = float(np.hypot(data_std, excess * flattened[vehicle]))
         worth = PRIOR_STD**2 / (PRIOR_STD**2 + data_std**2)
-        value = 1.0 + worth * (before.value + DAMPING * float(steps[0]) - 1.0)
+        value = 1.0 + worth * (before.value + panel.parameters.damping * float(steps[0]) - 1.0)
         result[vehicle] = Ratio(float(np.clip(value, 0.5, 1.5)), float(np.sqrt(worth) * data_std))
     return result
 
@@ -268,7 +257,9 @@ def with_ratio_std(
     """Return the ratios with which ``passes`` were adjusted, each with its std from the groups of ``solution``."""
     found = refine_ratios(ratios, passes, solution, panel, explained)
     return {
-        vehicle: replace(ratios.get(vehicle, Ratio()), std=float(np.hypot(one.std, SYSTEMATIC_STD)))
+        vehicle: replace(
+            ratios.get(vehicle, Ratio()), std=float(np.hypot(one.std, panel.parameters.ratio_systematic_std))
+        )
         for vehicle, one in found.items()
     }
 

@@ -10,24 +10,16 @@ from scipy import linalg
 
 from estimation.filters import high_pass, local_cubic_kernel, valid_support
 from estimation.track.gridded_pass import GriddedPass, SectionGrid
-from estimation.track.panel.basis import MeasuredCurve, Panel, PanelState, groups_of
+from estimation.track.panel.basis import MeasuredCurve, Panel, PanelParameters, PanelState, groups_of
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import FloatArray, IntArray, as_slice
 from estimation.values.quantities import jackknife_std
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import AlignmentSource, TrackAlignment
 
-LEAST_DIVERSITY = 0.05
-LEAST_WHEELSETS = 2
 SINGLE_WHEELSET = Reason(
     ReasonCode.SINGLE_WHEELSET, "one wheelset alone cannot separate the track from its own geometry"
 )
-GAUGE_RIDGE = 1e-4  # of h1 and h2 per knot, relative to the data of a knot of h0
-STIFFNESS_TERM_PRIOR = 2e-7  # m2: variance of a pass over that of the coefficient of the stiffness term
-PASS_STD = 0.12e-3  # m of y - d - h(R) of a pass, as measured profiles are weighed against it
-CORRELATED_SAMPLES = 20.0  # samples of a pass whose errors are one
-INDEPENDENT_PARTS = 4.0  # of a measured curve, whose errors are their own
-FIXED_CURVE_WEIGHT = 100.0  # times the data of a knot: a curve that only the measurement determines
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +49,7 @@ class PanelSolution:
                 yield item, curve
 
 
-def result(state: PanelState, *, std: bool = True) -> PanelSolution:
+def result(state: PanelState, *, std: bool = True, parameters: PanelParameters) -> PanelSolution:
     """Return alignment and curves as the passes so far determine them; quicker without std."""
     p = state.panel.parameters
     n = state.panel.grid.points
@@ -66,9 +58,9 @@ def result(state: PanelState, *, std: bool = True) -> PanelSolution:
     total = _sum_of(parts)
     share = np.zeros(n)
     share[enough] = 1.0 / state.passes[enough]
-    reason = _too_little(state)
+    reason = _too_little(state, parameters)
     curves_fixed = reason is not None and not state.has_alignment and bool(enough.any()) and bool(_measured(state))
-    curves = _curves(total, parts if std else (), state, curves_fixed=curves_fixed)
+    curves = _curves(total, parts if std else (), state, curves_fixed=curves_fixed, parameters=parameters)
     alignments = (state.displacement - _by_curves(curves, state)) * share
     c, met = curves[0].reshape(-1), state.passes > 0
     within = state.square.sum() - (state.displacement[met] ** 2 / state.passes[met]).sum()
@@ -142,7 +134,14 @@ def _by_curves(curves: FloatArray, state: PanelState) -> FloatArray:
     return np.asarray(curves.reshape(len(curves), -1).astype(np.float32) @ summed, dtype=np.float64)
 
 
-def _curves(whole: _Equations, groups: Sequence[_Equations], state: PanelState, *, curves_fixed: bool) -> FloatArray:
+def _curves(
+    whole: _Equations,
+    groups: Sequence[_Equations],
+    state: PanelState,
+    *,
+    curves_fixed: bool,
+    parameters: PanelParameters,
+) -> FloatArray:
     w, p, c = len(state.lives), state.panel.parameters, state.panel.unknowns
     if w == 0:
         return np.zeros((1 + len(groups), 0, 1))
@@ -152,11 +151,12 @@ def _curves(whole: _Equations, groups: Sequence[_Equations], state: PanelState, 
         *[_prior(size if size > 0.0 else 1.0, state.panel)] * w
     )  # all passes too short: nothing was met
     prior += _no_common_shift(w, state.panel, 1e2 * float(diagonal.max(initial=0.0)))
-    measured, measured_right = _prior_of_measured(state, FIXED_CURVE_WEIGHT * size if curves_fixed else None)
+    fixed = parameters.fixed_curve_weight * size if curves_fixed else None
+    measured, measured_right = _prior_of_measured(state, fixed, parameters)
     prior += measured
     if curves_fixed:  # the passes determine the stiffness as little as the curves: it is as assumed
         stiffness = np.arange(c - 1, w * c, c)
-        prior[stiffness, stiffness] += FIXED_CURVE_WEIGHT * diagonal[stiffness]
+        prior[stiffness, stiffness] += parameters.fixed_curve_weight * diagonal[stiffness]
     normal, right = whole[0] + prior, whole[1] + measured_right
     curves = [_solved(normal, right)]
     curves += [_solved(normal - left[0], right - left[1]) for left in groups]
@@ -178,8 +178,8 @@ def _prior(scale: float, panel: Panel) -> FloatArray:
     blocks = [scale * (_rough(count, p.roughness) + 1e-6 * np.ones((count, count)) / count)]
     if panel.gauge is not None:
         k = p.gauge_basis_count
-        blocks += [scale * (_rough(k, 3 * p.roughness) + GAUGE_RIDGE * np.eye(k))] * 2
-    return linalg.block_diag(*blocks, np.full((1, 1), STIFFNESS_TERM_PRIOR))
+        blocks += [scale * (_rough(k, 3 * p.roughness) + panel.parameters.gauge_ridge * np.eye(k))] * 2
+    return linalg.block_diag(*blocks, np.full((1, 1), panel.parameters.stiffness_term_prior))
 
 
 def _measured(state: PanelState) -> dict[int, MeasuredCurve]:
@@ -187,14 +187,17 @@ def _measured(state: PanelState) -> dict[int, MeasuredCurve]:
     return {number: known[life] for number, life in enumerate(state.lives) if life in known}
 
 
-def _prior_of_measured(state: PanelState, fixed_weight: float | None) -> tuple[FloatArray, FloatArray]:
+def _prior_of_measured(
+    state: PanelState, fixed_weight: float | None, parameters: PanelParameters
+) -> tuple[FloatArray, FloatArray]:
     """Return normal matrix (w c, w c) and right side (w c,) of h0 as measured, up to a constant."""
     # `fixed_weight` is that of a knot where only the measurement determines the curve; None weights it by its std
     w, p, c = len(state.lives), state.panel.parameters, state.panel.unknowns
     matrix, right = np.zeros((w * c, w * c)), np.zeros(w * c)
     for number, curve in _measured(state).items():
         displacement, reached = curve.at(p.knots)
-        own = (PASS_STD / curve.std) ** 2 * CORRELATED_SAMPLES * INDEPENDENT_PARTS / p.basis_count
+        samples = (parameters.pass_std / curve.std) ** 2 * parameters.correlated_samples
+        own = samples * parameters.independent_parts / p.basis_count
         weight = reached * (own if fixed_weight is None else fixed_weight)
         if not weight.any():
             continue
@@ -253,16 +256,16 @@ def too_few_passes(least: int, most: int) -> Reason:
     return Reason(ReasonCode.TOO_FEW_PASSES, f"no place with {least} passes: {most} at most, {least - most} to go")
 
 
-def _too_little(state: PanelState) -> Reason | None:
+def _too_little(state: PanelState, parameters: PanelParameters) -> Reason | None:
     """Return why the passes alone cannot separate the track from the wheelsets; None where they can."""
     least = state.panel.parameters.least_passes
     if not (state.passes >= least).any():
         return too_few_passes(least, int(state.passes.max(initial=0)))
-    if len(state.lives) < LEAST_WHEELSETS:
+    if len(state.lives) < parameters.least_wheelsets:
         return SINGLE_WHEELSET
     found = between_pass_std_ratio(state)
-    if found < LEAST_DIVERSITY:
-        text = f"the passes are too alike: diversity {found:.2f}, {LEAST_DIVERSITY} is needed"
+    if found < parameters.least_diversity:
+        text = f"the passes are too alike: diversity {found:.2f}, {parameters.least_diversity} is needed"
         return Reason(ReasonCode.PASSES_ALIKE, text)
     return None
 

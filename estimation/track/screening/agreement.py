@@ -32,6 +32,12 @@ class ScreeningParameters:
     least_factor: float = 0.4  # of y against the y of others, and its inverse the most
     peers: int = 6  # that a pass is compared with
     misplaced: float = 4.0  # m that a position may jump
+    overlap_step: int = 20  # grid points: overlaps that differ less count as equal
+    min_chain_overlap: int = 10  # of these, of overlap with a pass that continues along the section
+    chain_peers: int = 2  # passes that continue along the section
+    correlation_length: float = 60.0  # m: over which samples of a high-passed signal are correlated
+    piece: float = 1000.0  # m
+    fewest_independent_samples: float = 8.0  # independent ones, below which two passes are not compared
 
 
 @compiled(nogil=True)
@@ -65,10 +71,7 @@ def own_products(signals: FloatArray, reach: int) -> FloatArray:
     return found
 
 
-CORRELATION_LENGTH = 60.0  # m: over which samples of a high-passed signal are correlated
-PIECE = 1000.0  # m
 SMALLEST = float(np.finfo(np.float64).tiny)  # in place of a power of zero
-LEAST_SAMPLES = 8.0  # independent ones, below which two passes are not compared
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +139,13 @@ def alignment_segment(
     return FilteredPass(first + start + reach, high_pass(d, weights)[None, reach:-reach], step)
 
 
-def agreement(first: FilteredPass, second: FilteredPass, largest_offset: float, least_length: float) -> Agreement:
+def agreement(
+    first: FilteredPass,
+    second: FilteredPass,
+    largest_offset: float,
+    least_length: float,
+    parameters: ScreeningParameters,
+) -> Agreement:
     """Return what two have in common within ``largest_offset`` m, on at least ``least_length`` m; else ``NOTHING``."""
     # where they share much, odometers of other scale drift apart by more than a wavelength; a few pieces of it are then
     # compared, each by itself, and the one that agrees neither most nor least is returned
@@ -146,17 +155,17 @@ def agreement(first: FilteredPass, second: FilteredPass, largest_offset: float, 
         return NOTHING
     X, Z = first.signals[:, start - first.first :], second.signals[:, start - second.first :]
     found = []
-    for part in _pieces(stop - start, step):
+    for part in _pieces(stop - start, step, parameters):
         x, z = (signals[:, part] - signals[:, part].mean(axis=1, keepdims=True) for signals in (X, Z))
         reach = min(int(largest_offset / step), x.shape[1] // 4)
-        found.append(_at_lag(x, z, int(np.argmax(_canonical(x, z, reach))) - reach, reach, step))
+        found.append(_at_lag(x, z, int(np.argmax(_canonical(x, z, reach))) - reach, reach, step, parameters))
     middle = found[len(found) // 2]
     usual = sorted(found, key=lambda one: one.log10_chance)[len(found) // 2]
     return replace(usual, shift=middle.shift) if middle.log10_chance <= usual.log10_chance else usual
 
 
-def _pieces(n: int, step: float) -> list[slice]:
-    length = int(PIECE / step)
+def _pieces(n: int, step: float, parameters: ScreeningParameters) -> list[slice]:
+    length = int(parameters.piece / step)
     if n <= 2 * length:
         return [slice(0, n)]
     starts = [0, (n - length) // 2, n - length]
@@ -175,7 +184,9 @@ def _canonical(X: FloatArray, Z: FloatArray, reach: int) -> FloatArray:
     return np.asarray(0.5 * trace + np.sqrt(np.maximum(0.25 * trace**2 - determinant, 0.0)))
 
 
-def _at_lag(X: FloatArray, Z: FloatArray, lag: int, reach: int, step: float) -> Agreement:
+def _at_lag(
+    X: FloatArray, Z: FloatArray, lag: int, reach: int, step: float, parameters: ScreeningParameters
+) -> Agreement:
     n = X.shape[1] - abs(lag)
     X, Z = (X[:, :n], Z[:, lag:]) if lag >= 0 else (X[:, -lag:], Z[:, :n])
     X, Z = (signals - signals.mean(axis=1, keepdims=True) for signals in (X, Z))
@@ -185,8 +196,8 @@ def _at_lag(X: FloatArray, Z: FloatArray, lag: int, reach: int, step: float) -> 
     cross = all_of[:p, p:]
     M = _inverse(all_of[:p, :p]) @ cross @ _inverse(all_of[p:, p:]) @ cross.T
     squared = np.clip(np.linalg.eigvals(M).real, 0.0, 1.0 - 1e-12)
-    samples, correlation_length = _independent(X, Z, step)
-    if samples < LEAST_SAMPLES:
+    samples, correlation_length = _independent(X, Z, step, parameters)
+    if samples < parameters.fewest_independent_samples:
         return NOTHING
     wilks = -(samples - 0.5 * (p + q + 3)) * float(np.log1p(-squared).sum())
     search_gauge = max(2 * reach * step / correlation_length, 1.0)
@@ -201,9 +212,9 @@ def _inverse(gram: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.inv(gram / np.outer(size, size) + 1e-12 * np.eye(len(gram))) / np.outer(size, size))
 
 
-def _independent(X: FloatArray, Z: FloatArray, step: float) -> tuple[float, float]:
+def _independent(X: FloatArray, Z: FloatArray, step: float, parameters: ScreeningParameters) -> tuple[float, float]:
     n = X.shape[1]
-    far = min(int(CORRELATION_LENGTH / step), n - 1)
+    far = min(int(parameters.correlation_length / step), n - 1)
     products = own_products(np.concatenate([X, Z]), far)
     own = [values / max(float(values[0]), SMALLEST) for values in products]
     widths = [1.0 + 2.0 * float((a[1:] * b[1:]).sum()) for a in own[: len(X)] for b in own[len(X) :]]

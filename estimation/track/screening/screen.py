@@ -16,6 +16,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.sparse.linalg import spsolve
 
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Pass, PassOutcome, PassStatus, journeys
 from estimation.track.screening.agreement import (
     FilteredPass,
@@ -29,11 +30,6 @@ from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackAlignment
-
-ROUNDS = 12
-SCALE = 1.2e-3  # by which an odometer may differ from the fleet's
-RESOLUTION = 0.3  # m: shifts that fit better than this fit
-LOOSE = 1e-6  # weight of keeping every pass where it is: what links leave open
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,11 +77,11 @@ def _offsets(links: Sequence[Link], count: int) -> tuple[FloatArray, IntArray]:
     group = np.asarray(csgraph.connected_components(joined)[1], dtype=np.int64)
     weights = ones
     offset = np.zeros(count)
-    for _ in range(ROUNDS):
+    for _ in range(TRACK.screening_rounds):
         weighted = sparse.diags(weights) @ design
-        normal = (weighted.T @ design + LOOSE * sparse.identity(count)).tocsc()
+        normal = (weighted.T @ design + TRACK.anchor_weight * sparse.identity(count)).tocsc()
         offset = np.asarray(spsolve(normal, weighted.T @ shift))
-        weights = np.reciprocal(np.maximum(np.abs(shift - design @ offset), RESOLUTION))
+        weights = np.reciprocal(np.maximum(np.abs(shift - design @ offset), TRACK.shift_resolution))
     return offset, group
 
 
@@ -93,18 +89,13 @@ def _parts(ordered: Sequence[int], offset: FloatArray, middle: FloatArray, toler
     parts: list[list[int]] = []
     for i in ordered:
         for part in reversed(parts):
-            allowed = tolerance + SCALE * abs(middle[i] - middle[part[-1]])
+            allowed = tolerance + TRACK.odometer_scale * abs(middle[i] - middle[part[-1]])
             if abs(offset[i] - float(np.median(offset[part[-5:]]))) <= allowed:
                 part.append(i)
                 break
         else:
             parts.append([i])
     return parts
-
-
-OVERLAP_RESOLUTION = 20  # grid points: overlaps that differ less count as equal
-MIN_CHAIN_OVERLAP = 10  # of these, of overlap with a pass that continues along the section
-CHAIN_NEIGHBOURS = 2  # passes that continue along the section
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,17 +112,19 @@ def compare_pairs(
 
     The cost is linear in the number of passes. Those of one journey (``journey_of`` (n,)) share their errors.
     """
-    pairs = {(min(i, j), max(i, j)) for i in filtered for j in _peers(i, filtered, journey_of, p.peers)}
+    pairs = {(min(i, j), max(i, j)) for i in filtered for j in _peers(i, filtered, journey_of, p.peers, p)}
     comparisons = []
     for i, j in sorted(pairs):
-        found = agreement(filtered[i], filtered[j], p.positions.largest_offset, p.cutoff_wavelength)
+        found = agreement(filtered[i], filtered[j], p.positions.largest_offset, p.cutoff_wavelength, p)
         if found.samples >= p.least_samples or found.log10_chance <= p.log10_chance:
             reason = disagreement(found, 1.0, p, "other passes of the place")
             comparisons.append(Comparison(i, j, found.shift, reason))
     return comparisons
 
 
-def _peers(i: int, filtered: Mapping[int, FilteredPass], journey_of: IntArray, wanted: int) -> list[int]:
+def _peers(
+    i: int, filtered: Mapping[int, FilteredPass], journey_of: IntArray, wanted: int, parameters: ScreeningParameters
+) -> list[int]:
     """Return the passes to compare ``i`` with: of each other journey the one that overlaps it most, those that do best.
 
     Wheelsets of one vehicle overlap alike; ``i`` decides among them, so that not all are compared with the same one.
@@ -140,15 +133,16 @@ def _peers(i: int, filtered: Mapping[int, FilteredPass], journey_of: IntArray, w
     others = np.array(list(filtered), dtype=np.int64)
     first = np.array([one.first for one in filtered.values()])
     last = np.array([one.last for one in filtered.values()])
-    shared = (np.minimum(last, filtered[i].last) - np.maximum(first, filtered[i].first)) // OVERLAP_RESOLUTION
+    shared = (np.minimum(last, filtered[i].last) - np.maximum(first, filtered[i].first)) // parameters.overlap_step
     order = np.lexsort(((others - i) % len(journey_of), -shared))
     chosen: dict[int, int] = {}  # by journey
     for k in order[shared[order] > 0]:
         chosen.setdefault(int(journey_of[others[k]]), int(others[k]))
     chosen.pop(int(journey_of[i]), None)
     best = list(chosen.values())[:wanted]
-    beyond = np.where((journey_of[others] != journey_of[i]) & (shared >= MIN_CHAIN_OVERLAP), last - filtered[i].last, 0)
-    following = [int(others[k]) for k in np.argsort(-beyond, kind="stable")[:CHAIN_NEIGHBOURS] if beyond[k] > 0]
+    chained = (journey_of[others] != journey_of[i]) & (shared >= parameters.min_chain_overlap)
+    beyond = np.where(chained, last - filtered[i].last, 0)
+    following = [int(others[k]) for k in np.argsort(-beyond, kind="stable")[: parameters.chain_peers] if beyond[k] > 0]
     return list(dict.fromkeys([*best, *following]))
 
 
@@ -253,7 +247,7 @@ def _against_known(
     for i, one in filtered.items():
         track = alignment_segment(known, one.first - reach, one.last + reach, p.cutoff_wavelength, p.step)
         if track is not None:
-            found[i] = agreement(one, track, p.positions.largest_offset, p.cutoff_wavelength)
+            found[i] = agreement(one, track, p.positions.largest_offset, p.cutoff_wavelength, p)
     assessed = {i: one for i, one in found.items() if one.samples >= p.least_samples}
     if not assessed:
         return frozenset(), {}

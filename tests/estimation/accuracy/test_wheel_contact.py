@@ -5,20 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimation.accuracy.wheel_contact import (
-    AMPLITUDES,
-    RailShare,
-    WheelContact,
-    WheelPair,
-    conicity_of,
-    wheel_contact,
-)
+from estimation.accuracy.wheel_contact import AMPLITUDES, RailShare, WheelContact, WheelPair, conicity_of, wheel_contact
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.smoothed_profile import profile_from_points
-from estimation.values.quantities import NORMAL_95, Status
+from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import NORMAL_95
 
 STEEP, FLAT = RailShare("60E1", 1 / 20, 1.435, 0.25), RailShare("60E1", 1 / 40, 1.435, 0.75)
 

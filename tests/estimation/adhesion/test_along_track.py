@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimation.adhesion.creep_forces import FrictionParameters
-from estimation.adhesion.pass_sums import GRID, WRONG_BY, WRONG_SHARE, along_track
+from estimation.adhesion.pass_sums import GRID, along_track
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import INVERSE
 
@@ -42,7 +42,7 @@ def test_three_places_are_the_sum_over_all_courses() -> None:
         )
         for one in inverse
     )
-    assert (WRONG_SHARE, WRONG_BY) == (0.05, 3.0)
+    assert (FrictionParameters().wrong_place_share, FrictionParameters().wrong_factor) == (0.05, 3.0)
     courses = np.einsum("a,ab,bc,a,b,c->abc", prior, step, step, first, second, third)
     courses /= courses.sum()
     found = chained(np.arange(3), misfits_of(inverse, 0.3), KNOWN)

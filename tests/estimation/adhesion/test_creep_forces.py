@@ -11,7 +11,8 @@ from bogie_run import SOFT, joined, motions, of_bogie, wheelset
 
 from bench.adhesion_case import contact_forces
 from estimation.adhesion import creep_forces
-from estimation.adhesion.creep_forces import MOST_INNOVATION, ContactForces
+from estimation.adhesion.creep_forces import ContactForces
+from estimation.adhesion.parameters import FORCES
 from estimation.filters import remove_wander
 from estimation.motion.integration import SignalParameters
 from estimation.values.arrays import FloatArray
@@ -58,7 +59,7 @@ def test_forces_in_a_bogie_are_those_of_newton_within_a_tenth(axle: int) -> None
     error = (estimated - true).std(axis=1) / true.std(axis=1)
     assert error[0] < 0.15
     assert error[1] < 0.10
-    assert forces.innovation < 0.5 * MOST_INNOVATION
+    assert forces.innovation < 0.5 * FORCES.most_innovation
 
 
 def test_gaps_change_the_forces_beside_them_alone() -> None:
@@ -105,10 +106,11 @@ def test_a_sensor_that_does_not_measure_the_frame_diverges(given: Callable[[Wind
 
 
 def test_what_is_believed_is_pinned(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert MOST_INNOVATION == 10.0
+    assert FORCES.most_innovation == 10.0
     forces = found(gear(), of_bogie(SOFT))[0]
     for share, refused in ((1.01, False), (0.99, True)):
-        monkeypatch.setattr(creep_forces, "MOST_INNOVATION", share * forces.innovation)
+        filtered = replace(creep_forces.FORCES, most_innovation=share * forces.innovation)
+        monkeypatch.setattr(creep_forces, "FORCES", filtered)
         assert isinstance(contact_forces(gear(), of_bogie(SOFT), SIGNALS), Reason) is refused
 
 

@@ -9,9 +9,10 @@ import pytest
 from test_friction import a_pass
 
 from estimation.adhesion.creep_forces import FrictionParameters
-from estimation.adhesion.pass_sums import MEDIAN_ERROR, ROBUST, creep_levels, pass_sums
+from estimation.adhesion.pass_sums import creep_levels, pass_sums
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.opinions import WindowAdhesion
+from estimation.values.units import MEDIAN_ERROR, STD_PER_MAD
 
 USUAL = 0.3
 BEFORE = FrictionParameters(usual=1.0 / USUAL, level_std=0.1, creep_error_std=0.1)
@@ -49,4 +50,4 @@ def test_what_all_vehicles_share_is_what_rails_and_class_leave_open() -> None:
     sharp, blunt = (levels(passes, none, replace(BEFORE, level_std=std))[1] for std in (0.5, 100.0))
     assert sharp < 0.5 * blunt
     assert blunt == pytest.approx(0.1, rel=0.01)
-    assert (MEDIAN_ERROR, ROBUST) == (1.2533, 1.4826)
+    assert (MEDIAN_ERROR, STD_PER_MAD) == (1.2533, 1.4826)

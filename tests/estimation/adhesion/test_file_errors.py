@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from test_friction import KNOWN, NO_ERRORS, TRUE, a_pass, section_friction
 
-from estimation.adhesion.creep_forces import LATERAL_AS_CREEP, YAW_AS_CREEP, FileErrors, force_errors, lateral_scale_std
+from estimation.adhesion.creep_forces import FileErrors, force_errors, lateral_scale_std
+from estimation.adhesion.parameters import FORCES
 from estimation.values.opinions import CellFriction
+from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import (
-    LOAD_STD,
-    UNSTATED_SCALE_STD,
     Arrangement,
     SensorChannel,
     SensorLayout,
@@ -30,8 +30,13 @@ WELL_KNOWN = replace(
 
 
 def test_what_no_file_states_is_that_of_passengers_and_of_sensors_that_nobody_calibrated() -> None:
-    assert (LOAD_STD, UNSTATED_SCALE_STD, YAW_AS_CREEP, LATERAL_AS_CREEP) == (0.12, 0.03, 0.55, 0.35)
-    assert default_relative_std("load") == LOAD_STD
+    assert (VEHICLE.load_std, VEHICLE.unstated_scale_std, FORCES.yaw_scale_creep, FORCES.lateral_scale_creep) == (
+        0.12,
+        0.03,
+        0.55,
+        0.35,
+    )
+    assert default_relative_std("load") == VEHICLE.load_std
     assert FileErrors.of([]) == FileErrors.of([CLASS]) == FileErrors() == FileErrors(0.1, 0.05, 0.12, 0.03, 0.03)
     assert FileErrors().factor_std == pytest.approx(np.sqrt(0.1**2 + 0.05**2 + 0.12**2))
     assert FileErrors().creep_std == pytest.approx(0.03 * np.sqrt(0.55**2 + 0.35**2))

@@ -9,15 +9,8 @@ import numpy as np
 import pytest
 from oracles.creep_excess import creep_excess
 
-from estimation.adhesion.creep_forces import FileErrors
-from estimation.adhesion.friction import (
-    LEARNT,
-    FrictionParameters,
-    certain_stretches,
-    low_stretches,
-    pooled_friction,
-    section_adhesion,
-)
+from estimation.adhesion.creep_forces import FileErrors, FrictionParameters
+from estimation.adhesion.friction import certain_stretches, low_stretches, pooled_friction, section_adhesion
 from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -217,7 +210,7 @@ def test_a_vehicle_alone_raises_what_is_near_to_certain_and_takes_nothing_away()
 def test_what_decides_on_low_adhesion_is_pinned() -> None:
     assert (KNOWN.low, KNOWN.likely, KNOWN.at_ends) == (0.15, 0.45, 0.3)
     assert (KNOWN.certain, KNOWN.beside_others, KNOWN.fewest_vehicles, KNOWN.good) == (0.9, 0.7, 2, 0.4)
-    assert (KNOWN.fewest_passes, KNOWN.least_upper, LEARNT) == (3, 0.6, 0.7)
+    assert (KNOWN.fewest_passes, KNOWN.least_upper, FrictionParameters().learnt_std_share) == (3, 0.6, 0.7)
     assert (KNOWN.usual, KNOWN.usual_std, KNOWN.level_std, KNOWN.most_usual) == (3.3, 3.0, 1.0, 6.7)
     assert KNOWN.creep_error_std == 0.1
     assert (KNOWN.law_std, KNOWN.track_std, KNOWN.smoothed_std) == (0.1, 0.45, 1.0)

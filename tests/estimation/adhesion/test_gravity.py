@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.adhesion.window_adhesion import DISPLACEMENT, MOST_MISFIT, ContactAngles, contact_angles
+from estimation.adhesion.parameters import FORCES
+from estimation.adhesion.window_adhesion import DISPLACEMENT, ContactAngles, contact_angles
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import rail_profile, wheel_profile
@@ -37,7 +38,7 @@ def test_angles_are_those_of_the_wear_that_meets_the_curve() -> None:
     angles = found()
     assert np.median(np.abs(angles.at(R[inner])[0] - difference)) < 0.1 * difference.std()
     assert np.median(np.abs(angles.at(R[inner])[1] - total)) < 0.1 * total.mean()
-    assert angles.misfit < 0.5 * MOST_MISFIT
+    assert angles.misfit < 0.5 * FORCES.most_profile_misfit
 
 
 def test_a_difference_of_diameters_is_no_wear() -> None:
@@ -48,7 +49,7 @@ def test_profiles_that_do_not_have_the_curve_are_refused() -> None:
     steep = contact_angles(CENTRES, 1.2 * CENTRES, "P8", SECTION, 0.46)
     assert isinstance(steep, Reason)
     assert steep.code is ReasonCode.PROFILES_UNKNOWN
-    assert MOST_MISFIT == 0.15e-3
+    assert FORCES.most_profile_misfit == 0.15e-3
 
 
 def test_names_without_a_shape_and_curves_without_values_are_refused() -> None:

@@ -8,7 +8,8 @@ import numpy as np
 from bogie_run import SOFT, windows
 
 from estimation.adhesion.friction import touched
-from estimation.motion.checks import MARGIN, away_from_low_adhesion, refused_for_low_adhesion
+from estimation.motion.checks import away_from_low_adhesion, refused_for_low_adhesion
+from estimation.motion.parameters import MOTION
 from estimation.values.opinions import INVERSE, FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -25,7 +26,9 @@ def test_samples_within_a_stretch_and_its_margin_are_left_out() -> None:
     window = windows(SOFT, 1)[0]
     middle = float(window.distance[7000])
     left = kept(away_from_low_adhesion(window, [(middle, middle + 100.0)])).valid
-    expected = (window.distance < middle - MARGIN) | (window.distance > middle + 100.0 + MARGIN)
+    expected = (window.distance < middle - MOTION.low_friction_margin) | (
+        window.distance > middle + 100.0 + MOTION.low_friction_margin
+    )
     np.testing.assert_array_equal(left, window.valid & expected)
     assert away_from_low_adhesion(window, ()) is window
 

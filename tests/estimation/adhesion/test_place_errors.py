@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from test_friction import a_pass
 
-from estimation.adhesion.pass_sums import BELOW, BEST, LEAST_COMMON, LOWEST, PLACES_BEFORE, common_std, pass_sums
+from estimation.adhesion.creep_forces import FrictionParameters
+from estimation.adhesion.pass_sums import common_std, pass_sums
 from estimation.values.arrays import FloatArray
+from estimation.values.units import NORMAL_90
 
 USUAL, PLACES = 0.3, 60
 
@@ -18,7 +20,7 @@ def stds(off: float, places: int = PLACES, passes: int = 8) -> FloatArray:
     sums = pass_sums([a_pass(number, [USUAL] * places, of_places=errors) for number in range(passes)])
     assert sums is not None
     inverse = np.full(places, 1.0 / USUAL)
-    return common_std(sums, inverse, np.zeros(len(sums.vehicles)), np.zeros(passes), 1.0 / USUAL)
+    return common_std(sums, inverse, np.zeros(len(sums.vehicles)), np.zeros(passes), 1.0 / USUAL, FrictionParameters())
 
 
 def test_errors_that_all_passes_have_are_seen_where_places_show_less_creep_than_linear() -> None:
@@ -35,10 +37,22 @@ def test_more_passes_do_not_make_them_smaller() -> None:
 
 def test_few_places_are_taken_for_wrong_by_all_that_is_left() -> None:
     few, many = np.median(stds(0.0, places=4)), np.median(stds(0.0, places=400))
-    least = np.sqrt((400 * LEAST_COMMON**2 + PLACES_BEFORE) / (400 + PLACES_BEFORE))
-    expected = np.sqrt((4 * LEAST_COMMON**2 + PLACES_BEFORE) / (4 + PLACES_BEFORE))
+    least = np.sqrt(
+        (400 * FrictionParameters().least_common_std ** 2 + FrictionParameters().prior_places)
+        / (400 + FrictionParameters().prior_places)
+    )
+    expected = np.sqrt(
+        (4 * FrictionParameters().least_common_std ** 2 + FrictionParameters().prior_places)
+        / (4 + FrictionParameters().prior_places)
+    )
     assert few / many == pytest.approx(expected / least, rel=0.1)
 
 
 def test_what_decides_is_pinned() -> None:
-    assert (BEST, LOWEST, BELOW, LEAST_COMMON, PLACES_BEFORE) == (2.0, 0.1, 1.2816, 0.4, 20.0)
+    assert (
+        FrictionParameters().best_inverse,
+        FrictionParameters().below_best_share,
+        NORMAL_90,
+        FrictionParameters().least_common_std,
+        FrictionParameters().prior_places,
+    ) == (2.0, 0.1, 1.2816, 0.4, 20.0)

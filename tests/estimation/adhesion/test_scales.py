@@ -8,20 +8,10 @@ import numpy as np
 import pytest
 from test_friction import KNOWN, TRUE, a_pass
 
-from estimation.adhesion.creep_forces import FileErrors
+from estimation.adhesion.creep_forces import FileErrors, FrictionParameters
 from estimation.adhesion.friction import pooled_friction, section_adhesion
-from estimation.adhesion.pass_sums import (
-    FAR,
-    FEWEST_VEHICLES,
-    MOST_DEVIATION,
-    MOST_STD,
-    SCALES,
-    WHEELSET_SCATTER,
-    Agreed,
-    contradicting,
-    pass_sums,
-    scales,
-)
+from estimation.adhesion.parameters import FORCES
+from estimation.adhesion.pass_sums import SCALES, Agreed, contradicting, pass_sums, scales
 from estimation.values.opinions import WindowAdhesion
 from estimation.values.reasons import ReasonCode
 
@@ -34,7 +24,13 @@ def passes_of(vehicles: int, wrong: int, factor: float) -> list[WindowAdhesion]:
 
 
 def test_limits_are_pinned() -> None:
-    assert (WHEELSET_SCATTER, FEWEST_VEHICLES, MOST_DEVIATION, MOST_STD, FAR) == (0.1, 3, 3.0, 0.25, 0.5)
+    assert (
+        FrictionParameters().wheelset_scatter,
+        FrictionParameters().fewest_with_scale,
+        FrictionParameters().most_deviation_stds,
+        FORCES.most_scale_std,
+        FORCES.scale_reach,
+    ) == (0.1, 3, 3.0, 0.25, 0.5)
     assert (SCALES[0], SCALES[-1], len(SCALES)) == (-1.8, 1.8, 73)
 
 
@@ -101,4 +97,4 @@ def test_passes_that_show_no_friction_contradict_nobody() -> None:
     sums = pass_sums(passes)
     assert sums is not None
     agreed = Agreed(np.full(8, 2.5), np.zeros(12), 9e-9, KNOWN.creep_error_std)
-    assert contradicting(sums, agreed, WEIGHED.file) is None
+    assert contradicting(sums, agreed, WEIGHED.file, FrictionParameters()) is None

@@ -12,7 +12,8 @@ from scipy.linalg import block_diag, expm
 
 from estimation.adhesion import stationary_filter as module
 from estimation.adhesion.creep_forces import smoothed_states
-from estimation.adhesion.stationary_filter import CORNER_WAVELENGTH, gear_equations, stationary_filter
+from estimation.adhesion.parameters import FORCES
+from estimation.adhesion.stationary_filter import gear_equations, stationary_filter
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.vehicle_class import VehicleClass
 
@@ -30,7 +31,7 @@ def model(vehicle_class: VehicleClass) -> tuple[FloatArray, FloatArray, FloatArr
     for _ in range(SUB_STEPS):
         process = step @ process @ step.T + halfway @ noise @ halfway.T * DT / SUB_STEPS
     wheelbase = None if vehicle_class.bogie is None else vehicle_class.bogie.wheelbase
-    corner = 2.0 * math.pi * SPEED / CORNER_WAVELENGTH
+    corner = 2.0 * math.pi * SPEED / FORCES.corner_wavelength
     variances = module._variances(gear, vehicle_class.sensors, wheelbase, DT, corner)
     return expm(rates * DT), process, module._measured(gear, len(rates), SPEED) * scale, np.diag(variances)
 

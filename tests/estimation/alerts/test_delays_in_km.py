@@ -11,15 +11,8 @@ from hypothesis import strategies as st
 from wheelset_life import START_NS, window_record
 
 from estimation.alerts.life_cycle import transition
-from estimation.alerts.rules.rule import (
-    LOOK_BACK,
-    AlertDelays,
-    WheelsetFacts,
-    began,
-    latest_run,
-    raised_at,
-    within_reach,
-)
+from estimation.alerts.parameters import FINDINGS
+from estimation.alerts.rules.rule import AlertDelays, WheelsetFacts, began, latest_run, raised_at, within_reach
 from estimation.alerts.rules.sensor_data import SensorFaultRule
 from estimation.values.alerts import Alert, Condition, Finding, Severity
 from estimation.values.reasons import Reason, ReasonCode
@@ -143,7 +136,7 @@ def test_any_order_and_any_split_give_the_same_alerts(pattern: list[bool], rando
 
 
 def test_it_looks_back_as_far_as_its_delays_and_no_further() -> None:
-    assert LOOK_BACK * 30.0 == 150.0
+    assert FINDINGS.look_back_factor * 30.0 == 150.0
     assert within_reach([float(km) for km in range(0, 400, 10)], 3, 150.0) == 16  # both ends
     assert within_reach([0.0, None, 390.0], 1, 150.0) == 1
     assert within_reach([0.0, None, 390.0], 2, 150.0) == 2

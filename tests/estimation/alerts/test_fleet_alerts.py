@@ -12,7 +12,7 @@ from one_database import on_sqlite
 from wheelset_life import DAY_NS, START_NS, SetClock, register, run_windows
 
 from estimation.alerts.life_cycle import acknowledge
-from estimation.alerts.rule_book import HOUR_NS, AlarmFloodRule, RuleBook, in_flood, opened, refreshed
+from estimation.alerts.rule_book import AlarmFloodRule, RuleBook, in_flood, opened, refreshed
 from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.errors import ConflictError, InputError
 from estimation.jobs import evaluate_alerts
@@ -22,6 +22,7 @@ from estimation.jobs.stage import Outcome
 from estimation.storage import Storage
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Severity
 from estimation.values.runs import JobRun, JobTrigger
+from estimation.values.units import HOUR_NS
 
 RAISED, UPDATED, ACKNOWLEDGED, CLEARED, CLOSED = (
     AlertEventKind.RAISED,

@@ -12,9 +12,10 @@ from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, known
 
 from estimation.alerts.identity import IdentityEvent, Mistake
 from estimation.alerts.life_cycle import transition
+from estimation.alerts.parameters import FINDINGS
 from estimation.alerts.rule_book import RuleBook, findings
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
-from estimation.alerts.rules.rule import LOOK_BACK_INTERVALS, AlertDelays, AlertRule, WheelsetFacts, latest_run
+from estimation.alerts.rules.rule import AlertDelays, AlertRule, WheelsetFacts, latest_run
 from estimation.alerts.rules.trend import LimitForecastRule
 from estimation.alerts.rules.wheels import WheelAsymmetryRule
 from estimation.trend.extrapolation import conicity_points
@@ -136,7 +137,7 @@ def test_no_wear_alert_is_opened_while_the_identity_is_in_doubt() -> None:
 
 
 def test_what_no_interval_has_shown_for_long_stands_no_more() -> None:
-    between = [0.45, 0.45, *[0.395] * (LOOK_BACK_INTERVALS - 1)]
+    between = [0.45, 0.45, *[0.395] * (FINDINGS.look_back_intervals - 1)]
 
     def standing(conicities: Sequence[float]) -> bool | None:
         found = ConicityLimitRule().find(replace(facts_of(records_of(conicities)), trend=None), 0)

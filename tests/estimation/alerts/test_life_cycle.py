@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimation.alerts.life_cycle import DAY_NS, acknowledge, close, link, shelve, transition, unshelve
+from estimation.alerts.life_cycle import acknowledge, close, link, shelve, transition, unshelve
 from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError, InputError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition
+from estimation.values.units import DAY_NS
 
 DELAYS = AlertDelays(on_evaluations=1, off_evaluations=2, acknowledgement_days=30.0)
 

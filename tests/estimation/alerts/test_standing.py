@@ -11,7 +11,8 @@ from wheelset_life import START_NS, window_record
 from windows_finding import windows_finding
 
 from estimation.alerts.life_cycle import transition
-from estimation.alerts.rules.rule import LOOK_BACK, AlertDelays, WheelsetFacts
+from estimation.alerts.parameters import FINDINGS
+from estimation.alerts.rules.rule import AlertDelays, WheelsetFacts
 from estimation.alerts.rules.sensor_data import SensorFaultRule, faulty
 from estimation.values.alerts import Alert, Finding
 from estimation.values.registry import Mounting, WheelsetRecord
@@ -75,5 +76,5 @@ def test_delays_count_windows_and_what_is_long_past_counts_no_more() -> None:
     first = next(end for end in range(30, 50) if standing(windows[:end]))
     assert not standing(windows[:first], AlertDelays(on_evaluations=2))
     assert standing(windows[: first + 1], AlertDelays(on_evaluations=2))
-    sound = LOOK_BACK * RULE.latest_windows
+    sound = FINDINGS.look_back_factor * RULE.latest_windows
     assert not standing([window_record("W", number, sensor_fault=number < 30) for number in range(30 + sound)])

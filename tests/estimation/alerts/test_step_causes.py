@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from estimation.alerts.rules.trend import TOGETHER_NS, explanations
+from estimation.alerts.parameters import FINDINGS
+from estimation.alerts.rules.trend import explanations
 from estimation.values.geometry import KnownConicity
 from estimation.values.quantities import Estimate, Status
 from estimation.values.trend import StepCause, StepExplanation, StepSurroundings, TrendStep
@@ -66,7 +67,11 @@ def test_one_factor_for_all_wheelsets_of_a_vehicle_is_its_sensor_only_at_one_tim
     )
     assert max(alone, unlike) < 0.15
     just, late = (
-        replace(same, before_ns=own.after_ns + TOGETHER_NS + apart, after_ns=own.after_ns + TOGETHER_NS + DAY_NS)
+        replace(
+            same,
+            before_ns=own.after_ns + FINDINGS.simultaneous_ns + apart,
+            after_ns=own.after_ns + FINDINGS.simultaneous_ns + DAY_NS,
+        )
         for apart in (0, 1)
     )
     assert causes_of(own, StepSurroundings((), DESIGNED, (just,)))[StepCause.SENSOR].share > 0.3

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from estimation.contact.parameters import PROFILES
 from estimation.contact.profiles import Profile, ProfileKind, rail_profile, wheel_profile
-from estimation.contact.smoothed_profile import MOST_POINTS, thinned
+from estimation.contact.smoothed_profile import thinned
 from estimation.errors import ProfileError
 from ingest.profiles.files import read_measured_profile, read_profile
 from ingest.profiles.points import MOST_ROWS
@@ -215,7 +216,7 @@ def test_a_wheel_of_many_points_is_read_as_one_of_few(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.profile.height(at), WHEEL.height(at), atol=12e-6)
     assert found.noise_std == pytest.approx(20e-6, rel=0.2)
     assert found.spline is not None
-    assert len(found.spline.residual) <= MOST_POINTS
+    assert len(found.spline.residual) <= PROFILES.most_points
     file.write_text(_rows(np.roll(y, 7)[::-1], np.roll(z, 7)[::-1]))
     with pytest.raises(ProfileError, match="not in order") as caught:
         read_profile(file, "wheel")
@@ -227,10 +228,10 @@ def test_points_that_are_thinned_are_evenly_spaced_along_the_arc() -> None:
     y = np.concatenate([np.linspace(0.0, 50.0, 20_000), np.linspace(50.0, 100.0, 2_001)[1:]])
     points = np.column_stack([y, 0.1 * y])
     kept = points[thinned(points)]
-    assert 0.9 * MOST_POINTS * 0.75 < len(kept) <= MOST_POINTS
+    assert 0.9 * PROFILES.most_points * 0.75 < len(kept) <= PROFILES.most_points
     assert np.diff(kept[:, 0]).max() < 0.06
-    few = points[:MOST_POINTS]
-    np.testing.assert_array_equal(thinned(few), np.arange(MOST_POINTS))
+    few = points[: PROFILES.most_points]
+    np.testing.assert_array_equal(thinned(few), np.arange(PROFILES.most_points))
 
 
 @pytest.mark.parametrize("kind", ["wheel", "rail"])

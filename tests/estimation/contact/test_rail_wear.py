@@ -8,8 +8,9 @@ import pytest
 from estimation.accuracy.wheel_contact import RailShare, WheelPair
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table, refined_curve
+from estimation.contact.parameters import PROFILES
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.wear import DEEPEST_BAND, RailWear, WearFamily, wear_course, worn, worn_rail
+from estimation.contact.wear import RailWear, WearFamily, wear_course, worn, worn_rail
 from estimation.errors import ParameterError, ProfileError
 from estimation.rails.cell import conicity_on_rails, designed_wheel
 from estimation.rails.parameters import RailsParameters
@@ -43,9 +44,9 @@ def test_no_wear_is_the_new_rail() -> None:
 def test_a_wheel_is_refused_and_so_is_wear_beyond_the_form() -> None:
     with pytest.raises(ProfileError, match="is a wheel"):
         worn_rail(wheel_profile("P8"), WEAR)
-    RailWear(DEEPEST_BAND)
+    RailWear(PROFILES.deepest_band)
     for depth, centre, half_width, field in (
-        (DEEPEST_BAND + 1e-6, 0.0, 0.02, "depth"),
+        (PROFILES.deepest_band + 1e-6, 0.0, 0.02, "depth"),
         (-1e-6, 0.0, 0.02, "depth"),
         (1e-3, np.nan, 0.02, "centre"),
         (1e-3, 0.0, 0.0, "half_width"),

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from sinusoids import SINGLE, SOFT, judged, several, stiffer, windows_of
 
-from estimation.dampers import damper
 from estimation.dampers.damper import DamperParameters, gear_damper
 from estimation.values.opinions import GearDamper, WindowDamper
 from estimation.values.quantities import Status
@@ -76,7 +75,7 @@ def test_the_interval_holds_what_is_not_known_of_the_mass() -> None:
     assert known.value is not None
     assert loose.std == pytest.approx(np.hypot(known.std, 0.1 * known.value), rel=1e-6)
     assert known.std > np.hypot(0.05 * known.value, 0.01)
-    assert (damper.MODEL_STD, damper.LEAST_STD) == (0.05, 0.01)
+    assert (DamperParameters().model_share_std, DamperParameters().least_share_std) == (0.05, 0.01)
 
 
 def test_few_windows_say_nothing() -> None:
@@ -125,7 +124,7 @@ def test_a_vehicle_of_no_class_is_a_mismatch() -> None:
 def test_a_share_beyond_the_particles_is_a_mismatch() -> None:
     found = gear_damper(several(SOFT, 1.0, 4, on_file=stiffer(SOFT, secondary_lateral_damping=0.45)), USUAL)
     assert code_of(found) is ReasonCode.DIVERGED
-    assert damper.LARGEST_SHARE == 1.9
+    assert DamperParameters().largest_share == 1.9
 
 
 def test_a_damper_that_hardly_moves_is_not_judged() -> None:

@@ -10,8 +10,9 @@ from sinusoids import DENSITY, SENSORS, SINGLE, SOFT, judged, windows_of
 
 from estimation.adhesion.creep_forces import gear_segments
 from estimation.dampers import damper
-from estimation.dampers.damper import EVERY, looked_at, not_judged, posterior
-from estimation.dampers.damper_filters import LATE_STD_S, add_products, damper_filters, gain_std, of_signals
+from estimation.dampers.damper import DamperParameters, looked_at, not_judged, posterior
+from estimation.dampers.damper_filters import add_products, damper_filters, gain_std, of_signals
+from estimation.dampers.parameters import DAMPING
 from estimation.motion.integration import SignalParameters
 from estimation.values.opinions import SHARES
 from estimation.values.reasons import Reason, ReasonCode
@@ -34,7 +35,7 @@ def test_the_filter_of_the_true_share_predicts_all_that_is_measured(vehicle_clas
 def test_the_share_is_within_a_few_of_its_stds(vehicle_class: VehicleClass, share: float) -> None:
     found = judged(windows_of(vehicle_class, share), vehicle_class)
     assert found.sums is not None
-    said = posterior(found.sums.products, found.sums.curved)
+    said = posterior(found.sums.products, found.sums.curved, DamperParameters())
     assert said is not None
     assert abs(said.share - share) < 3.0 * said.std
     assert said.std < 0.05
@@ -47,7 +48,7 @@ def test_sensors_of_another_scale_at_one_axle_are_not_taken_for_damping() -> Non
     scaled = [replace(front, mass_lateral_acceleration=1.02 * front.mass_lateral_acceleration), rear]
     sums = judged(scaled, SOFT).sums
     assert sums is not None
-    said = posterior(sums.products, sums.curved)
+    said = posterior(sums.products, sums.curved, DamperParameters())
     assert said is not None
     assert abs(said.share - 0.3) < 0.03
 
@@ -73,20 +74,21 @@ def test_the_limit_of_innovations_decides(monkeypatch: pytest.MonkeyPatch) -> No
     found = judged(windows, SOFT)
     assert found.innovation is not None
     assert 0.1 < found.innovation < 1.0
-    assert damper.MOST_UNEXPLAINED == 0.05
-    monkeypatch.setattr(damper, "MOST_UNEXPLAINED", 0.05 * 0.5 * found.innovation)
+    assert DAMPING.most_unexplained_share == 0.05
+    less = replace(damper.DAMPING, most_unexplained_share=0.05 * 0.5 * found.innovation)
+    monkeypatch.setattr(damper, "DAMPING", less)
     assert judged(windows, SOFT).sums is None
 
 
 def test_what_stiff_bodies_do_not_explain_bounds_the_weight_of_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert damper.MODEL_ERROR == 0.02
+    assert DAMPING.model_error == 0.02
     windows = windows_of(SOFT, 1.0)
     stds = []
     for error in (0.02, 0.04):
-        monkeypatch.setattr(damper, "MODEL_ERROR", error)
+        monkeypatch.setattr(damper, "DAMPING", replace(damper.DAMPING, model_error=error))
         sums = judged(windows, SOFT).sums
         assert sums is not None
-        said = posterior(sums.products, sums.curved)
+        said = posterior(sums.products, sums.curved, DamperParameters())
         assert said is not None
         stds.append(said.std)
     assert stds[1] > 1.2 * stds[0]
@@ -97,11 +99,11 @@ def test_motion_that_shows_no_more_than_noise_does_is_not_judged(size: float, ex
     found = judged(windows_of(SOFT, 0.3, size=size), SOFT)
     assert (found.sums is not None) == excited
     assert excited or (found.reason is not None and found.reason.code is ReasonCode.DAMPER_NOT_EXCITED)
-    assert damper.LEAST_EXCITATION == 3.0
+    assert DAMPING.least_excitation == 3.0
 
 
 def test_short_windows_say_nothing() -> None:
-    assert damper.FEWEST_SAMPLES == 600.0
+    assert DAMPING.fewest_samples == 600.0
     cut = [replace(one, valid=np.arange(len(one.valid)) < 60.0 * 250 / 60 * 16) for one in windows_of(SOFT, 1.0)]
     found = judged(cut, SOFT)
     assert found.reason is not None
@@ -116,7 +118,7 @@ def test_a_few_lost_samples_hardly_change_what_is_said() -> None:
     whole, gapped = (judged(w, SOFT) for w in (windows, [replace(one, valid=~lost) for one in windows]))
     assert whole.sums is not None
     assert gapped.sums is not None
-    one, other = (posterior(sums.products, sums.curved) for sums in (whole.sums, gapped.sums))
+    one, other = (posterior(sums.products, sums.curved, DamperParameters()) for sums in (whole.sums, gapped.sums))
     assert one is not None
     assert other is not None
     assert abs(one.share - other.share) < 0.01
@@ -139,7 +141,7 @@ def test_scales_of_sensors_count_by_what_is_on_file_and_at_least_a_hundredth() -
     assert gain_std(SOFT) == pytest.approx(0.01)
     assert gain_std(replace(SOFT, sensors=loose)) == pytest.approx(0.05 / np.sqrt(2.0))
     assert damper_filters(SOFT, 0.004).apart == pytest.approx((0.01 / np.sqrt(2.0), 0.01 / np.sqrt(2.0)))
-    assert LATE_STD_S == 1e-3
+    assert DAMPING.clock_std_s == 1e-3
 
 
 def test_what_noise_adds_to_the_products_is_known() -> None:
@@ -169,4 +171,4 @@ def test_one_of_three_windows_is_looked_at_however_a_recorder_runs(stride: int) 
     starts = [stride * number * first.length_ns + 7 for number in range(600)]
     share = np.mean([looked_at(replace(first, start_ns=start_ns)) for start_ns in starts])
     assert 0.27 < share < 0.40
-    assert EVERY == 3
+    assert DAMPING.window_stride == 3

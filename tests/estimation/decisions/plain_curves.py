@@ -6,15 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.geometry.conicity import (
-    CurveEstimates,
-    CurveParameters,
-    CurveReplicates,
-    curve_estimates,
-)
+from estimation.geometry.conicity import CurveEstimates, CurveParameters, CurveReplicates, curve_estimates
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import FloatArray
-from estimation.values.quantities import NORMAL_95, Estimate
+from estimation.values.quantities import Estimate
+from estimation.values.units import NORMAL_95
 
 WIDTH = 0.25e-3
 EDGES = (np.arange(-28, 30) - 0.5) * WIDTH

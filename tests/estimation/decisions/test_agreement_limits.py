@@ -88,7 +88,7 @@ def pair(n: int, lag: int, noise: float, *, rows: int = 2, first: int = 0, step:
 @pytest.mark.parametrize("rows", [1, 2])
 def test_an_agreement_is_the_canonical_correlation_with_its_chance(lag: int, rows: int) -> None:
     first, second = pair(240, lag, 0.4, rows=rows)
-    found = agreement(first, second, 12.0, 30.0)
+    found = agreement(first, second, 12.0, 30.0, ScreeningParameters())
     assert near(found, by_hand(first.signals, second.signals, lag, 24, 0.5))
     assert found.shift == 0.5 * lag
     assert -60.0 < found.log10_chance < -1.0
@@ -96,21 +96,29 @@ def test_an_agreement_is_the_canonical_correlation_with_its_chance(lag: int, row
 
 def test_no_more_than_a_quarter_of_what_is_shared_is_searched() -> None:
     first, second = pair(240, 0, 0.4)
-    assert near(agreement(first, second, 500.0, 30.0), by_hand(first.signals, second.signals, 0, 60, 0.5))
+    assert near(
+        agreement(first, second, 500.0, 30.0, ScreeningParameters()), by_hand(first.signals, second.signals, 0, 60, 0.5)
+    )
 
 
 def test_what_is_shared_is_compared_and_thirty_metres_are_needed() -> None:
     first, second = pair(240, 0, 0.3)
     cut = FilteredPass(60, second.signals[:, 60:], 0.5)
-    assert near(agreement(first, cut, 12.0, 30.0), by_hand(first.signals[:, 60:], cut.signals, 0, 24, 0.5))
-    assert near(agreement(cut, first, 12.0, 30.0), by_hand(cut.signals, first.signals[:, 60:], 0, 24, 0.5))
-    assert agreement(first, cut, 12.0, 90.0) != NOTHING
-    assert agreement(first, cut, 12.0, 90.5) == NOTHING
+    assert near(
+        agreement(first, cut, 12.0, 30.0, ScreeningParameters()),
+        by_hand(first.signals[:, 60:], cut.signals, 0, 24, 0.5),
+    )
+    assert near(
+        agreement(cut, first, 12.0, 30.0, ScreeningParameters()),
+        by_hand(cut.signals, first.signals[:, 60:], 0, 24, 0.5),
+    )
+    assert agreement(first, cut, 12.0, 90.0, ScreeningParameters()) != NOTHING
+    assert agreement(first, cut, 12.0, 90.5, ScreeningParameters()) == NOTHING
     assert (cut.last, cut.length) == (239, 89.5)
     early = FilteredPass(20, first.signals[:, 20:200], 0.5)
     for one, other in ((early, cut), (cut, early)):
         X, Z = (item.signals[:, 60 - item.first : 200 - item.first] for item in (one, other))
-        assert near(agreement(one, other, 12.0, 30.0), by_hand(X, Z, 0, 24, 0.5))
+        assert near(agreement(one, other, 12.0, 30.0, ScreeningParameters()), by_hand(X, Z, 0, 24, 0.5))
 
 
 @pytest.mark.parametrize("rows", [1, 2])
@@ -130,7 +138,7 @@ def test_the_largest_canonical_correlation_at_every_offset(rows: int) -> None:
 def test_samples_are_no_more_than_there_are() -> None:
     quick, slow = (np.diff(smooth(30 + k, 241, width=1), n=1) for k in (0, 1)), (smooth(40 + k, 240) for k in (0, 1))
     first, second = (FilteredPass(0, np.stack(list(signals)), 0.5) for signals in (quick, slow))
-    found = agreement(first, second, 0.0, 1.0)
+    found = agreement(first, second, 0.0, 1.0, ScreeningParameters())
     assert found.samples == 240.0
     assert near(found, by_hand(first.signals, second.signals, 0, 0, 0.5))
 
@@ -138,14 +146,14 @@ def test_samples_are_no_more_than_there_are() -> None:
 def test_a_signal_that_is_nothing_has_no_part() -> None:
     first, second = pair(240, 4, 0.4)
     flat = FilteredPass(0, np.stack([first.signals[0], np.zeros(240)]), 0.5)
-    found = agreement(flat, second, 12.0, 30.0)
+    found = agreement(flat, second, 12.0, 30.0, ScreeningParameters())
     alone = by_hand(first.signals[:1], second.signals, 4, 24, 0.5)
     assert (found.correlation, found.shift) == (pytest.approx(alone.correlation, rel=1e-6), 2.0)
 
 
 def test_the_same_twice_leaves_what_the_inverse_cannot_resolve() -> None:
     one = pair(240, 0, 0.0)[0]
-    found = agreement(one, one, 0.0, 30.0)
+    found = agreement(one, one, 0.0, 30.0, ScreeningParameters())
     unexplained = 2 * 1e-12  # of each signal
     wilks = (found.samples - 3.5) * 2 * -np.log(unexplained)
     assert found.log10_chance == pytest.approx(chi2.logsf(wilks, 4) / np.log(10.0), rel=1e-3)
@@ -156,7 +164,7 @@ def test_a_correlation_is_below_one_even_where_rounding_would_have_it_above() ->
     for seed in range(40):
         y = smooth(seed, 240)
         both = FilteredPass(0, np.stack([y, y]), 0.5)  # R says nothing that y does not
-        found = agreement(both, both, 0.0, 30.0)
+        found = agreement(both, both, 0.0, 30.0, ScreeningParameters())
         assert np.isfinite(found.log10_chance)
         wholly.append(found.correlation)
     assert max(wholly) ** 2 == pytest.approx(1.0 - 1e-12, abs=1e-13)
@@ -167,7 +175,7 @@ def test_eight_independent_samples_are_needed() -> None:
     said = set()
     for n in range(40, 100, 6):
         first, second = pair(n, 0, 1.0)
-        found = agreement(first, second, 0.0, 1.0)
+        found = agreement(first, second, 0.0, 1.0, ScreeningParameters())
         expected = by_hand(first.signals, second.signals, 0, 0, 0.5)
         assert near(found, expected if expected.samples >= 8.0 else NOTHING)
         said |= {"few"} if 5.0 < expected.samples < 8.0 else set()
@@ -176,10 +184,10 @@ def test_eight_independent_samples_are_needed() -> None:
 
 
 def test_long_stretches_are_compared_in_three_pieces_of_a_kilometre() -> None:
-    assert _pieces(2000, 1.0) == [slice(0, 2000)]
-    assert _pieces(2001, 1.0) == [slice(0, 1000), slice(500, 1500), slice(1001, 2001)]
-    assert _pieces(4000, 0.5) == [slice(0, 4000)]
-    assert _pieces(5000, 0.5) == [slice(0, 2000), slice(1500, 3500), slice(3000, 5000)]
+    assert _pieces(2000, 1.0, ScreeningParameters()) == [slice(0, 2000)]
+    assert _pieces(2001, 1.0, ScreeningParameters()) == [slice(0, 1000), slice(500, 1500), slice(1001, 2001)]
+    assert _pieces(4000, 0.5, ScreeningParameters()) == [slice(0, 4000)]
+    assert _pieces(5000, 0.5, ScreeningParameters()) == [slice(0, 2000), slice(1500, 3500), slice(3000, 5000)]
 
 
 def test_of_three_pieces_neither_the_best_nor_the_worst_counts() -> None:
@@ -188,10 +196,10 @@ def test_of_three_pieces_neither_the_best_nor_the_worst_counts() -> None:
         noise = np.concatenate([np.full(1400, size) for size in order])
         second = FilteredPass(300, one[1].signals + noise * np.stack([smooth(8, 4200), smooth(9, 4200)]), 1.0)
         parts = [slice(0, 1000), slice(1600, 2600), slice(3200, 4200)]
-        by_piece = [agreement(*(FilteredPass(0, item.signals[:, part], 1.0) for item in (one[0], second)), 40.0, 30.0)
-                    for part in parts]  # fmt: skip
+        pieces = [[FilteredPass(0, item.signals[:, part], 1.0) for item in (one[0], second)] for part in parts]
+        by_piece = [agreement(*piece, 40.0, 30.0, ScreeningParameters()) for piece in pieces]
         usual = sorted(by_piece, key=lambda item: item.log10_chance)[1]
-        found = agreement(replace(one[0], first=300), second, 40.0, 30.0)
+        found = agreement(replace(one[0], first=300), second, 40.0, 30.0, ScreeningParameters())
         assert found.log10_chance == usual.log10_chance
         middle = by_piece[1]
         assert found.shift == (middle.shift if middle.log10_chance <= usual.log10_chance else usual.shift)

@@ -283,7 +283,7 @@ def noise_of(
     yaw[0, :, 2, 0] = slope * PARAMETERS.width
     yaw[0, :, 1, YAW_TARGETS.index("noise")] = of_sensors
     found = _Replicates(np.zeros((1, BINS, 4, 7)), yaw, residual, every(6.0), np.zeros((BINS, 3, 0)))
-    return _displacement_noise(found, out, PARAMETERS, expected)
+    return _displacement_noise(found, out, PARAMETERS, expected, GeometryParameters())
 
 
 @pytest.mark.parametrize(("expected", "found"), [(3e-5, 5e-5 / np.sqrt(2.0)), (4e-5, 4e-5), (9e-5, 5e-5)])

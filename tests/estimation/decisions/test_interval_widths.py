@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from estimation.values.quantities import NORMAL_95, Status, jackknife_std, normal_equivalent, with_interval
+from estimation.values.quantities import Status, jackknife_std, normal_equivalent, with_interval
+from estimation.values.units import NORMAL_95
 
 
 @pytest.mark.parametrize("groups", [2, 3, 16])

@@ -95,7 +95,7 @@ def test_residuals_are_those_of_passes_with_a_curve_where_the_alignment_is_known
     grouped = {first: [made(1), made(0)], second: [made(2, 40), made(0, side=-1)]}
     placed = place(grouped, {first: Correction(), second: Correction()}, {}, panel.grid)
     solution = replace(
-        result(init(panel), std=False),
+        result(init(panel), std=False, parameters=PanelParameters()),
         lives=(life(0), life(2)), curves=np.zeros((1, 2, panel.unknowns)), alignment=d,
     )  # fmt: skip
     found = residuals(IterationResult(panel, init(panel), solution, placed, {}, 1, 0.0, 0.0, 0.0))
@@ -188,11 +188,13 @@ def uncertain_gauge(noise: float, ratio: float, *, found: float | None = None, k
     sums = np.full((2, n), 2.0)  # of two passes whose squares are 1 each
     sums[0] *= np.sqrt(1.0 - 0.5 * ratio**2)
     state = replace(init(panel), passes=np.full(n, 2.0), difference=sums)
-    iterated = IterationResult(panel, state, result(state, std=False), {}, {}, 1, 0.0, 0.0, noise)
+    iterated = IterationResult(
+        panel, state, result(state, std=False, parameters=PanelParameters()), {}, {}, 1, 0.0, 0.0, noise
+    )
     zero = np.zeros(n)
     prior = PriorAlignment(zero, zero + np.inf, zero, zero, zero + 0.4e-3, gauge_known=known)
     gauge = None if found is None else np.where(np.arange(n) % 2, found, -found)
-    return float(_gauge_std(iterated, prior, gauge)[0])
+    return float(_gauge_std(iterated, prior, gauge, SectionParameters())[0])
 
 
 def test_what_passes_disagree_by_beyond_their_sensors_is_the_gauge_s() -> None:

@@ -43,7 +43,7 @@ def state(R: FloatArray, wheelsets: int = 2, passes: float = 3.0, **changes: obj
 
 
 def report(made: PanelState) -> tuple[ReasonCode | None, bool]:
-    found = result(made, std=False)
+    found = result(made, std=False, parameters=PanelParameters())
     return code_of(found.reason), found.curves_fixed
 
 
@@ -92,7 +92,7 @@ def test_a_place_needs_three_passes(most: float, outcome: tuple[ReasonCode | Non
     passes = np.where(np.arange(N) == 7, most, 2.5)
     made = replace(state(spread(0.95)), passes=passes)  # sums of three, so that the rest is diverse enough
     assert report(made) == outcome
-    solution: PanelSolution = result(made)
+    solution: PanelSolution = result(made, parameters=PanelParameters())
     published = (np.arange(N) == 7) & (most >= 3.0)
     np.testing.assert_array_equal(np.isfinite(solution.alignment), published)
     np.testing.assert_array_equal(np.isfinite(solution.alignment_std), published)

@@ -9,7 +9,7 @@ import pytest
 
 from estimation.track.passes import Entry, Group, PartitionParameters, ProfileLife, first_epoch, newest_within
 from estimation.track.settings import AlignmentSettings
-from estimation.values.track import OPEN_NS
+from estimation.values.units import LATEST_NS
 from estimation.values.windows import WindowQuality, WindowRecord, WindowState
 
 SECOND_NS = 10**9
@@ -42,14 +42,14 @@ def test_the_limits_are_these() -> None:
 def test_a_long_pause_ends_an_epoch(beyond_ns: int, windows: int) -> None:
     group = first([*journey(0, 12), at(330 * SECOND_NS + 6 * HOUR_NS + beyond_ns)])
     assert len(group.entries) == windows
-    assert (group.horizon_ns == OPEN_NS) == (windows == 13)
+    assert (group.horizon_ns == LATEST_NS) == (windows == 13)
 
 
 @pytest.mark.parametrize(("before", "windows"), [(11, 12), (12, 12)])
 def test_a_pause_behind_few_windows_ends_nothing(before: int, windows: int) -> None:
     group = first([*journey(0, before), at(48 * HOUR_NS)])
     assert len(group.entries) == windows
-    assert (group.horizon_ns == OPEN_NS) == (before == 11)
+    assert (group.horizon_ns == LATEST_NS) == (before == 11)
 
 
 @pytest.mark.parametrize(("pause_s", "windows"), [(300, 24), (300.5, 12)])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from smooth_wheelset import ideal, run
 
-from estimation.estimators import block_filters, series
+from estimation.estimators import series
 from estimation.estimators.block_filters import BlockFilters, Inputs, Posterior, Prior
 from estimation.estimators.hidden_displacement import stepped
 from estimation.estimators.interface import (
@@ -23,6 +23,7 @@ from estimation.estimators.interface import (
 )
 from estimation.estimators.paper_algorithm import GROUPS as OF_CELLS
 from estimation.estimators.paper_algorithm import CellMeans, PaperAlgorithm, PaperState
+from estimation.estimators.parameters import RIVALS
 from estimation.estimators.series import KnownIrregularity, SeriesState
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.quantities import Status
@@ -58,7 +59,7 @@ def motion() -> Motion:
 def blocks(samples: int, alignment: float = 0.0, sensors: float = 0.0) -> tuple[int, list[float]]:
     """Return how many blocks are filtered of one that a filter takes so many samples of, and the noise it is given."""
     parameters = replace(SURE, uncertainty=replace(SURE.uncertainty, alignment_noise=alignment))
-    stride = max(round(block_filters.STEP_S / motion().sample_interval_s), 1)
+    stride = max(round(RIVALS.step_s / motion().sample_interval_s), 1)
     first = np.arange(len(motion())) < 1 + stride * (samples - 1)
     one = replace(
         motion(),

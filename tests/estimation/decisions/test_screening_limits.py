@@ -11,15 +11,7 @@ from test_agreement_limits import pair, smooth
 
 from estimation.track.passes import Pass, PassStatus, ProfileLife
 from estimation.track.screening.agreement import FilteredPass, ScreeningParameters, agreement
-from estimation.track.screening.screen import (
-    Comparison,
-    Link,
-    _peers,
-    compare_pairs,
-    minority,
-    misplaced,
-    screen,
-)
+from estimation.track.screening.screen import Comparison, Link, _peers, compare_pairs, minority, misplaced, screen
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -34,7 +26,9 @@ def span(first: int, last: int) -> FilteredPass:
 
 
 def peers(i: int, spans: Sequence[tuple[int, int]], journey_of: Sequence[int], wanted: int = 6) -> list[int]:
-    return _peers(i, {k: span(*ends) for k, ends in enumerate(spans)}, np.array(journey_of), wanted)
+    return _peers(
+        i, {k: span(*ends) for k, ends in enumerate(spans)}, np.array(journey_of), wanted, ScreeningParameters()
+    )
 
 
 def test_peers_are_of_other_journeys_and_overlap_most() -> None:
@@ -74,7 +68,7 @@ def test_six_peers_are_enough() -> None:
 def test_a_low_correlation_of_few_samples_contradicts_nothing(n: int, samples: int) -> None:
     first, second = pair(n, 0, 50.0)
     found = compare_pairs({0: first, 1: second}, np.array([0, 1]), P)
-    said = agreement(first, second, P.positions.largest_offset, P.cutoff_wavelength)
+    said = agreement(first, second, P.positions.largest_offset, P.cutoff_wavelength, ScreeningParameters())
     assert said.log10_chance > -6.0
     assert 0.5 * samples < said.samples < samples
     assert bool(found) is (samples > 50)

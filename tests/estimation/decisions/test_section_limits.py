@@ -157,7 +157,7 @@ def test_one_wheelset_is_enough_where_its_profile_was_measured() -> None:
 
 
 def iterated(*, panel: Panel = PANEL, moved: float = 0.0, changed: float = 0.0, **solution: object) -> IterationResult:
-    empty = replace(result(init(panel), std=False), **solution)  # type: ignore[arg-type]
+    empty = replace(result(init(panel), std=False, parameters=PanelParameters()), **solution)  # type: ignore[arg-type]
     return IterationResult(panel, init(panel), empty, {}, {}, 8, moved, changed, 0.0)
 
 

@@ -9,16 +9,10 @@ import pytest
 from test_section_limits import P, a_pass
 
 from estimation.track.gridded_pass import GriddedPass, grid_pass
-from estimation.track.panel.basis import Panel, PanelState, init, pass_rows, update
-from estimation.track.panel.instrumental_slope import (
-    EXCESS_SHARE,
-    EXCESS_STD,
-    SlopeCorrection,
-    common_slope,
-    corrected,
-    slope_correction,
-)
+from estimation.track.panel.basis import Panel, PanelParameters, PanelState, init, pass_rows, update
+from estimation.track.panel.instrumental_slope import SlopeCorrection, common_slope, corrected, slope_correction
 from estimation.track.panel.solution import PanelSolution, result
+from estimation.track.parameters import TRACK
 from estimation.values.arrays import FloatArray
 
 PANEL = Panel.of(P.panel)
@@ -38,7 +32,7 @@ def gridded(noise: float, count: int = 6) -> list[GriddedPass]:
 
 def solved(passes: list[GriddedPass]) -> tuple[PanelState, PanelSolution]:
     state = update(init(PANEL), passes)
-    return state, result(state, std=False)
+    return state, result(state, std=False, parameters=PanelParameters())
 
 
 def within(passes: list[GriddedPass], solution: PanelSolution) -> tuple[FloatArray, FloatArray]:
@@ -64,7 +58,7 @@ def test_the_share_explained_is_that_of_the_differences_between_the_passes(noise
     assert found.explained == pytest.approx(r2, rel=1e-4)
     assert found.factor == pytest.approx(1.0 + 1.4 * (1.0 / r2 - 1.0), rel=1e-4)
     assert found.std == pytest.approx(0.5 * (1.0 / r2 - 1.0), rel=1e-3)
-    assert (EXCESS_SHARE, EXCESS_STD) == (1.4, 0.5)
+    assert (TRACK.flattening_share, TRACK.flattening_std) == (1.4, 0.5)
 
 
 def test_noise_of_the_difference_flattens_the_curves_and_the_interval_of_their_slope_holds_the_truth() -> None:

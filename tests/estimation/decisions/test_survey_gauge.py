@@ -72,7 +72,7 @@ def judged(limits: GaugeLimits | None = None, gauge: FloatArray | None = None, *
     with pytest.MonkeyPatch.context() as patch:
         if limits is not None:
             patch.setattr(survey_check, "GaugeLimits", lambda: limits)
-        return code_of(judge_gauge(iterated, on_file, converged=True))
+        return code_of(judge_gauge(iterated, on_file, converged=True, parameters=SectionParameters()))
 
 
 def test_a_right_gauge_is_used() -> None:
@@ -179,13 +179,21 @@ def test_what_cannot_be_seen_is_not_refused() -> None:
     assert judged(**wrong) is ReasonCode.SURVEY_GAUGE_UNRELATED
     unmoved = replace(right(), **wrong)  # type: ignore[arg-type]
     on_file = survey(place().gauge)
-    assert judge_gauge(None, on_file, converged=True) is None
-    assert judge_gauge(unmoved, on_file, converged=False) is None
-    assert judge_gauge(unmoved, replace(on_file, gauge_known=False), converged=True) is None
-    assert judge_gauge(unmoved, survey(np.full(len(place().s), 1e-3)), converged=True) is None
-    assert judge_gauge(unmoved, survey(0.29 / 2.0 * place().gauge), converged=True) is None
+    assert judge_gauge(None, on_file, converged=True, parameters=SectionParameters()) is None
+    assert judge_gauge(unmoved, on_file, converged=False, parameters=SectionParameters()) is None
+    assert (
+        judge_gauge(unmoved, replace(on_file, gauge_known=False), converged=True, parameters=SectionParameters())
+        is None
+    )
+    assert (
+        judge_gauge(unmoved, survey(np.full(len(place().s), 1e-3)), converged=True, parameters=SectionParameters())
+        is None
+    )
+    assert (
+        judge_gauge(unmoved, survey(0.29 / 2.0 * place().gauge), converged=True, parameters=SectionParameters()) is None
+    )
     without = replace(unmoved.panel, gauge=None)
-    assert judge_gauge(replace(unmoved, panel=without), on_file, converged=True) is None
+    assert judge_gauge(replace(unmoved, panel=without), on_file, converged=True, parameters=SectionParameters()) is None
 
 
 BAD = Reason(ReasonCode.SURVEY_GAUGE_UNRELATED, "its gauge is not used: it is wrong")

@@ -154,7 +154,7 @@ def test_a_survey_is_filtered_as_the_fleet_is() -> None:
     ],
 )
 def test_a_unit_is_named_where_the_factor_is_near_to_it(factor: float, words: str | None) -> None:
-    text = _unit(factor)
+    text = _unit(factor, SurveyCheckParameters())
     assert text.endswith(f": {words}") if words else ":" not in text
 
 

@@ -9,12 +9,13 @@ import pytest
 from test_survey_limits import D, N, track
 from test_version_limits import shift_of
 
+from estimation.track.parameters import TRACK
 from estimation.track.results import nothing
 from estimation.track.screening.screen import Screened
 from estimation.track.section import SectionEstimate
 from estimation.track.settings import AlignmentSettings
 from estimation.track.survey_check import worth_more
-from estimation.track.survey_posterior import EDGES, Band, SurveyBands, SurveyPosterior
+from estimation.track.survey_posterior import Band, SurveyBands, SurveyPosterior
 from estimation.track.survey_verdict import CONFIRMED, SurveyVerdict
 from estimation.track.update import (
     AlignmentUpdate,
@@ -88,7 +89,9 @@ def weighed(std: float, verdict: SurveyVerdict | None = None, **changes: object)
     """Return an epoch whose passes and survey give an alignment of this std (m) together."""
     together = replace(SURVEY, alignment_std=np.full(N, std), **changes)  # type: ignore[arg-type]
     same = Band(np.zeros(N), np.zeros(N), np.ones(N), np.ones(N), 0.0)
-    bands = SurveyBands((same,) * len(EDGES), D, np.ones(N, np.bool_), np.ones(N, np.bool_), np.ones(N), 1e-3)
+    bands = SurveyBands(
+        (same,) * len(TRACK.band_edges), D, np.ones(N, np.bool_), np.ones(N, np.bool_), np.ones(N), 1e-3
+    )
     return replace(epoch(None, None, verdict), posterior=SurveyPosterior(together, SURVEY, bands))
 
 

@@ -172,7 +172,9 @@ def test_shifts_are_compared_at_41_places_from_minus_one_to_one_millimetre() -> 
     grid, gauge = np.linspace(-4e-3, 4e-3, 81), np.array([-5e-3, 0.0, 5e-3])
     shift = GaugeShift(grid, gauge, np.outer(grid / 1e-3 + 0.5, 0.1 * gauge))
     squares = [(0.1 * (R / 1e-3 + 0.5) * e) ** 2 for R in places for e in (-2e-3, 2e-3)]
-    assert _apart(shift, shift_of(0.0), 2e-3) == pytest.approx(np.sqrt(sum(squares) / len(squares)), rel=1e-9)
+    assert _apart(shift, shift_of(0.0), 2e-3, AlignmentSettings()) == pytest.approx(
+        np.sqrt(sum(squares) / len(squares)), rel=1e-9
+    )
 
 
 def test_nothing_is_a_stretch_of_no_alignment() -> None:

@@ -11,8 +11,9 @@ from plain_windows import GOOD
 from wheelset_life import START_NS, WINDOW_NS, window_record
 from windows_finding import windows_finding
 
+from estimation.alerts.parameters import FINDINGS
 from estimation.alerts.rules.sensor_data import NoDataRule, SensorFaultRule, faulty
-from estimation.alerts.rules.wheels import MOST_APART, SAME_SIDE, WheelFlatRule, strikes
+from estimation.alerts.rules.wheels import WheelFlatRule, strikes
 from estimation.motion.checks import gate
 from estimation.motion.integration import Gates
 from estimation.values.alerts import Finding, Severity
@@ -94,13 +95,13 @@ def test_a_wheel_is_named_where_windows_agree() -> None:
     assert (wheel(-1, -1, -1), wheel(1, 1, -1), wheel(1, 1, 0), wheel(1, 0, 0)) == ("right", None, "left", None)
     assert wheel(*[1] * 9, -1) == "left"
     assert wheel(*[1] * 8, -1, -1) is None
-    assert SAME_SIDE == 0.8
+    assert FINDINGS.same_side_share == 0.8
 
 
 def test_a_window_strikes_for_half_of_its_time_at_the_turn_of_the_wheel() -> None:
     assert strikes(window(0, 0.5), TURN)
     assert not strikes(window(0, 0.49), TURN)
-    assert MOST_APART == 0.1
+    assert FINDINGS.turn_tolerance == 0.1
     assert strikes(window(0, turn=1.09 * TURN), TURN)
     assert not strikes(window(0, turn=1.11 * TURN), TURN)
     assert not strikes(window(0, turn=0.89 * TURN), TURN)

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from estimation.contact.conicity import equivalent_conicity
 from estimation.geometry.conicity import CurveEstimates, CurveParameters, CurveReplicates, curve_estimates
-from estimation.geometry.uncertainty import MOST_EXCESS, DisplacementError
+from estimation.geometry.parameters import PRIORS
+from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import FloatArray
 
 WIDTH = 0.25e-3  # m
@@ -125,7 +126,7 @@ def test_a_measured_displacement_is_too_large_by_the_excess(std: float) -> None:
 
 def test_the_excess_is_bounded_and_scale_errors_add_up() -> None:
     samples = np.ones(BINS)
-    assert DisplacementError.of(1.0, CENTRE, samples, integrated=False).excess == MOST_EXCESS
+    assert DisplacementError.of(1.0, CENTRE, samples, integrated=False).excess == PRIORS.most_error_share
     assert DisplacementError.of(1e-4, CENTRE, 0 * samples, integrated=False).excess == 0.0
     alone = DisplacementError.of(1e-4, CENTRE, samples, integrated=True).scale
     both = DisplacementError.of(1e-4, CENTRE, samples, integrated=True, scale=0.02).scale

@@ -9,9 +9,6 @@ import pytest
 from smooth_wheelset import ideal, run
 
 from estimation.geometry.estimate import (
-    COUNTED_AS_ONE,
-    HIDDEN_JUMP_SHARE,
-    HIDDEN_SHARE,
     NOISE,
     GeometryParameters,
     _displacement_noise,
@@ -19,9 +16,8 @@ from estimation.geometry.estimate import (
     _Replicates,
     estimate_geometry,
 )
-from estimation.geometry.model_fit import NOISE_DOUBT
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.motion.integration import ROLL_CUTOFF
+from estimation.motion.parameters import MOTION
 from estimation.tables.bin_table import BinParameters, init, merge_all, tabulate
 from estimation.values.geometry import BinTable
 from estimation.values.reasons import ReasonCode
@@ -41,7 +37,9 @@ def replicates(residual: float, of_sensors: float) -> _Replicates:
 
 
 def found(residual: float, of_sensors: float, expected: float = EXPECTED) -> tuple[float, bool]:
-    return _displacement_noise(replicates(residual, of_sensors), np.zeros(BINS, dtype=np.bool_), PARAMETERS, expected)
+    return _displacement_noise(
+        replicates(residual, of_sensors), np.zeros(BINS, dtype=np.bool_), PARAMETERS, expected, GeometryParameters()
+    )
 
 
 def test_without_sensor_noise_the_residual_shows_the_error() -> None:
@@ -54,16 +52,20 @@ def test_all_of_the_residual_is_error_of_the_displacement_where_that_much_is_exp
 
 
 def test_noise_of_the_yaw_sensor_hides_it() -> None:
-    most = np.sqrt(HIDDEN_SHARE) * 0.4e-3
+    most = np.sqrt(GeometryParameters().hidden_share) * 0.4e-3
     assert found(0.4e-3, 1.01 * most)[1]
     assert not found(0.4e-3, 0.99 * most)[1]
     assert found(0.4e-3, 0.4e-3) == (pytest.approx(EXPECTED), True)
 
 
 def test_the_shipped_figures() -> None:
-    assert (HIDDEN_SHARE, HIDDEN_JUMP_SHARE, COUNTED_AS_ONE) == (0.5, 0.5, (10_000.0, 10_000.0, 1_000.0))
+    assert (
+        GeometryParameters().hidden_share,
+        GeometryParameters().hidden_jump_share,
+        GeometryParameters().counted_as_one,
+    ) == (0.5, 0.5, (10_000.0, 10_000.0, 1_000.0))
     assert ParameterUncertainty().of_bogie == (0.02, 0.02, np.radians(2.0))
-    assert (NOISE_DOUBT, ROLL_CUTOFF) == (0.5, 120.0)
+    assert (ParameterUncertainty().noise_doubt, MOTION.longest_roll_wave) == (0.5, 120.0)
 
 
 def noisy_table(*stds: float) -> BinTable:

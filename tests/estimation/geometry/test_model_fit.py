@@ -37,14 +37,16 @@ def table_of(found: list[Window], vehicle_class: VehicleClass) -> BinTable:
 
 def fit_of(found: list[Window], vehicle_class: VehicleClass) -> ModelFit:
     parameters = bin_parameters(bogie_run.parameters(vehicle_class))
-    fit = model_fit(table_of(found, vehicle_class), parameters)
+    fit = model_fit(table_of(found, vehicle_class), parameters, uncertainty=ParameterUncertainty())
     assert fit is not None
     return fit
 
 
 def verdict(found: list[Window], vehicle_class: VehicleClass) -> ReasonCode | None:
     in_bogie = vehicle_class.bogie is not None
-    said = mismatch(fit_of(found, vehicle_class), STIFFNESS_STD, CREEP_STD, in_bogie=in_bogie)
+    said = mismatch(
+        fit_of(found, vehicle_class), STIFFNESS_STD, CREEP_STD, in_bogie=in_bogie, uncertainty=ParameterUncertainty()
+    )
     return None if said is None else said.reason.code
 
 
@@ -68,7 +70,7 @@ def test_what_is_right_passes(yaw_stiffness: float, axle: int) -> None:
     fit = fit_of(joined(yaw_stiffness, axle), of_bogie(yaw_stiffness))
     assert abs(fit.spring_error) < 0.03
     assert fit.misfit < 0.4
-    assert mismatch(fit, STIFFNESS_STD, CREEP_STD, in_bogie=True) is None
+    assert mismatch(fit, STIFFNESS_STD, CREEP_STD, in_bogie=True, uncertainty=ParameterUncertainty()) is None
 
 
 @pytest.mark.parametrize("axle", [1, 2])
@@ -109,7 +111,9 @@ def test_a_mismatch_ends_the_geometry() -> None:
 def code(error: float, std: float = 0.0, misfit: float = 0.0, *, stiffness: float = 0.0, creep: float = 0.0,
          displaced: float = 0.0, in_bogie: bool = True) -> tuple[ReasonCode, bool] | None:  # fmt: skip
     """Return what is contradicted, and whether that is certain."""
-    found = mismatch(ModelFit(error, std, misfit, displaced), stiffness, creep, in_bogie=in_bogie)
+    found = mismatch(
+        ModelFit(error, std, misfit, displaced), stiffness, creep, in_bogie=in_bogie, uncertainty=ParameterUncertainty()
+    )
     return None if found is None else (found.reason.code, found.certain)
 
 
@@ -138,7 +142,7 @@ def test_a_misfit_may_be_what_the_displacement_is_wrong_by_and_more(displaced: f
         limit = np.sqrt(most**2 + displaced)
         assert code(0.0, misfit=limit - 0.01, displaced=displaced) == below
         assert code(0.0, misfit=limit + 0.01, displaced=displaced) == beyond
-    found = mismatch(ModelFit(1.0, 0.0, 2.0), 0.0, 0.0, in_bogie=True)
+    found = mismatch(ModelFit(1.0, 0.0, 2.0), 0.0, 0.0, in_bogie=True, uncertainty=ParameterUncertainty())
     assert found is not None
     assert "+100%" in found.reason.text
     assert found.relative == 1.0
@@ -146,7 +150,9 @@ def test_a_misfit_may_be_what_the_displacement_is_wrong_by_and_more(displaced: f
 
 def test_an_uncertain_track_may_explain_what_it_spoils() -> None:
     bins = bin_parameters(bogie_run.parameters(of_bogie(SOFT)))
-    known, open_track = (model_fit(soft_table(), bins, noise) for noise in (0.0, 1e-3))
+    known, open_track = (
+        model_fit(soft_table(), bins, noise, uncertainty=ParameterUncertainty()) for noise in (0.0, 1e-3)
+    )
     assert known is not None
     assert open_track is not None
     assert known.displacement_error == 0.0
@@ -168,10 +174,10 @@ def only(bins: int, samples: float, groups: int = 16) -> BinTable:
 
 def test_five_bins_of_two_hundred_samples_and_five_groups_are_needed() -> None:
     bins = bin_parameters(bogie_run.parameters(of_bogie(SOFT)))
-    assert model_fit(only(5, 201.0), bins) is not None
-    assert model_fit(only(5, 199.0), bins) is None
-    assert model_fit(only(4, 201.0), bins) is None
-    assert model_fit(only(5, 201.0, groups=4), bins) is None
+    assert model_fit(only(5, 201.0), bins, uncertainty=ParameterUncertainty()) is not None
+    assert model_fit(only(5, 199.0), bins, uncertainty=ParameterUncertainty()) is None
+    assert model_fit(only(4, 201.0), bins, uncertainty=ParameterUncertainty()) is None
+    assert model_fit(only(5, 201.0, groups=4), bins, uncertainty=ParameterUncertainty()) is None
 
 
 def test_the_noise_of_the_sensors_is_no_misfit() -> None:
@@ -212,7 +218,7 @@ def test_what_a_doubt_makes_of_the_conicity_follows_what_is_wrong() -> None:
         (ModelFit(0.04, 0.0, 0.0), False, 0.04),
         (ModelFit(0.0, 0.0, 0.6), True, 0.5 * 0.36),
     ):
-        found = mismatch(fit, 0.0, 0.0, in_bogie=in_bogie)
+        found = mismatch(fit, 0.0, 0.0, in_bogie=in_bogie, uncertainty=ParameterUncertainty())
         assert found is not None
         assert not found.certain
         assert found.relative == pytest.approx(relative)
@@ -220,7 +226,7 @@ def test_what_a_doubt_makes_of_the_conicity_follows_what_is_wrong() -> None:
 
 def test_noise_and_an_uncertain_track_leave_so_much_in_the_yaw() -> None:
     bins = bin_parameters(bogie_run.parameters(of_bogie(SOFT)))
-    open_track = model_fit(soft_table(), bins, 1e-3)
+    open_track = model_fit(soft_table(), bins, 1e-3, uncertainty=ParameterUncertainty())
     assert open_track is not None
     assert open_track.spring_error_std == pytest.approx(0.055, rel=0.05)
 

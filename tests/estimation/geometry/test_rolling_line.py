@@ -9,7 +9,7 @@ from estimation.contact.conicity import equivalent_conicity, middle_of_travel
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.geometry.sharpening import (
-    DIAMETER_STD,
+    SHARPENING,
     SLOPES,
     held_difference_std,
     held_shares,
@@ -51,7 +51,7 @@ def test_a_stiff_bogie_holds_most_of_it_and_a_wheelset_alone_none() -> None:
 
 
 def test_half_of_the_unknown_difference_of_diameters_is_one_of_radii() -> None:
-    assert DIAMETER_STD == 0.3e-3
+    assert SHARPENING.diameter_std == 0.3e-3
     shares = tuple(0.5 for _ in SLOPES)
     assert held_difference_std(shares, 0.2) == pytest.approx(0.075e-3)
 

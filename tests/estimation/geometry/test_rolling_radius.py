@@ -13,7 +13,8 @@ from smooth_wheelset import SmoothTable, mems_windows, track
 from estimation.geometry.model_fit import EXPECTED_STD, check_radius, rolling_radius
 from estimation.motion.axle_distance import with_frame_yaw
 from estimation.motion.integration import SignalParameters
-from estimation.motion.rolling_sums import BANDS, TERMS, UNKNOWNS, RollingSums, rolling_sums
+from estimation.motion.parameters import MOTION
+from estimation.motion.rolling_sums import TERMS, UNKNOWNS, RollingSums, rolling_sums
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import ReasonCode
 from estimation.values.windows import ACCELERATIONS
@@ -146,11 +147,16 @@ def made(
     truth = np.array([scale, radius, 1.0, suspension, 0.0, 0.0])
     found = []
     for _ in range(parts):
-        products, of_noise = np.zeros((BANDS, TERMS, TERMS)), np.zeros((BANDS, TERMS, TERMS))
-        for band in range(BANDS):
+        products, of_noise = (
+            np.zeros((MOTION.wavelength_bands, TERMS, TERMS)),
+            np.zeros((MOTION.wavelength_bands, TERMS, TERMS)),
+        )
+        for band in range(MOTION.wavelength_bands):
             x = SIZE * rng.standard_normal((n, TERMS - 1))
             y = x @ truth + error * rng.standard_normal(n)
-            x[:, 1] += noise * worse * (vibration if band == BANDS - 1 else 1.0) * rng.standard_normal(n)
+            x[:, 1] += (
+                noise * worse * (vibration if band == MOTION.wavelength_bands - 1 else 1.0) * rng.standard_normal(n)
+            )
             rows: FloatArray = np.column_stack([y, x])
             products[band] = rows.T @ rows
             of_noise[band, 0, 0], of_noise[band, 2, 2] = n, n * noise**2
@@ -186,7 +192,7 @@ def test_what_varies_from_wavelength_to_wavelength_widens_the_interval() -> None
     assert found is not None
     assert before is not None
     moved = abs(found.value - before.value)
-    assert moved == pytest.approx(0.1 * TRUE / BANDS, rel=0.1)
+    assert moved == pytest.approx(0.1 * TRUE / MOTION.wavelength_bands, rel=0.1)
     assert found.std == pytest.approx(math.hypot(before.std, moved), rel=0.1)
 
 
@@ -194,7 +200,9 @@ def test_too_little_data_say_nothing() -> None:
     assert rolling_radius(made(8)) is not None
     assert rolling_radius(made(7)) is None
     assert check_radius(made(7), 0.3) is None
-    nothing = RollingSums(np.zeros((BANDS, TERMS, TERMS)), np.zeros((BANDS, TERMS, TERMS)))
+    nothing = RollingSums(
+        np.zeros((MOTION.wavelength_bands, TERMS, TERMS)), np.zeros((MOTION.wavelength_bands, TERMS, TERMS))
+    )
     assert check_radius([nothing] * 8, 0.3, measured=True) is None
 
 
@@ -211,7 +219,9 @@ def test_a_radius_that_neither_motion_nor_measurement_confirms_is_open() -> None
     assert said is not None
     assert (said.reason.code, said.certain, said.relative) == (ReasonCode.ROLLING_RADIUS_OPEN, False, 0.0)
     assert "450 mm on file" in said.reason.text
-    nothing = RollingSums(np.zeros((BANDS, TERMS, TERMS)), np.zeros((BANDS, TERMS, TERMS)))
+    nothing = RollingSums(
+        np.zeros((MOTION.wavelength_bands, TERMS, TERMS)), np.zeros((MOTION.wavelength_bands, TERMS, TERMS))
+    )
     silent = check_radius([nothing] * 8, 0.3)
     assert silent is not None
     assert silent.reason.code is ReasonCode.ROLLING_RADIUS_OPEN

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 from slow_sharpening import WIDTH, node_values, sample_places
 
-from estimation.geometry.sharpening import LEAST_STD, Sharpening, edges_and_centres, jumps_displaced, sharpen
+from estimation.geometry.sharpening import SHARPENING, Sharpening, edges_and_centres, jumps_displaced, sharpen
 from estimation.values.arrays import FloatArray
 
 EDGES = (np.arange(-11, 13) - 0.5) * WIDTH
@@ -45,7 +45,7 @@ def test_a_quadratic_comes_back_without_what_the_blur_adds(bend: float) -> None:
     found = sharp(nodes, blur)
     away = found.curve(nodes) - (0.2 * found.displacement + bend * found.displacement**2)
     inner = np.abs(found.displacement) < EDGES[-1] - 2 * blur  # beyond, the slope of the last bins goes on
-    furthest = np.sqrt(5 * len(LOW)) * 2 * abs(bend) * CELL * LEAST_STD
+    furthest = np.sqrt(5 * len(LOW)) * 2 * abs(bend) * CELL * SHARPENING.least_node_std
     assert furthest < 0.2 * abs(bend) * blur**2
     np.testing.assert_allclose(away[inner], 0.0, atol=furthest)
 

@@ -93,7 +93,7 @@ def test_the_spring_error_is_that_of_sensors_that_are_not_turned() -> None:
     track_of_run = alignment(track(1))
     tables = [cells_of_window(turned(window, ANGLE), track_of_run, assumed) for window in joined(COACH, 1)]
     merged = merge_all([table for table in tables if isinstance(table, FilledCells)], bins)
-    fits = [model_fit(merged, bins, std) for std in (1e-6, 0.1)]
+    fits = [model_fit(merged, bins, std, uncertainty=ParameterUncertainty()) for std in (1e-6, 0.1)]
     assert fits[0] is not None
     assert fits[1] is not None
     assert fits[0].spring_error == pytest.approx(fits[1].spring_error, abs=1e-6)

@@ -15,6 +15,7 @@ from wheelset_life import DAY_NS, START_NS, WINDOW_NS, SetClock, register, sampl
 from estimation.jobs import estimate_windows
 from estimation.jobs.estimate_windows import JUDGE
 from estimation.jobs.job import JobContext
+from estimation.jobs.parameters import WORK
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
 from estimation.motion.mileage import implausible_mileages
@@ -126,5 +127,5 @@ def test_windows_a_day_apart_are_read_for_themselves(storage: SqlStorage) -> Non
         new = unit.plausibility.new_readings(["W1"])["W1"]
         spans = estimate_windows._spans(("W1", one.start_ns) for one in new)["W1"]
         around = unit.plausibility.readings_around(spans)
-    assert estimate_windows.APART_NS == DAY_NS
+    assert WORK.windows_apart_ns == DAY_NS
     assert [len(found) for found in around.values()] == [3, 2]

@@ -111,14 +111,14 @@ def an_action(storage: Storage) -> None:
         unit.alerts.save(change.alert, change.events, START_NS + round(DAY * DAY_NS))
 
 
-OF_TRENDS = [(a_geometry, ["W2"]), (a_geometry_again, ["W2"]), (a_reprofiling, ["W2"])]
-OF_ALERTS = [*OF_TRENDS, (a_window, ["W2"]), (an_action, ["W1"])]
+CURVES = [(a_geometry, ["W2"]), (a_geometry_again, ["W2"]), (a_reprofiling, ["W2"])]
+OF_ALERTS = [*CURVES, (a_window, ["W2"]), (an_action, ["W1"])]
 
 
 @pytest.mark.parametrize(
     ("job", "change", "expected"),
     [
-        *((refresh_trends.JOB, *one) for one in OF_TRENDS),
+        *((refresh_trends.JOB, *one) for one in CURVES),
         *((evaluate_alerts.JOB, *one) for one in OF_ALERTS),
     ],
 )

@@ -292,7 +292,7 @@ def test_the_gauge_on_file_of_a_known_section_counts(registered: SqlStorage) -> 
 @on_sqlite
 @pytest.mark.parametrize(("narrower", "alike"), [(0.25e-3, True), (0.45e-3, False)])
 def test_known_sections_of_another_gauge_hold_nothing(registered: SqlStorage, narrower: float, *, alike: bool) -> None:
-    """Pins ``SAME_GAUGE``."""
+    """Pins ``JOBS.gauge_tolerance``."""
     track = replace(surveyed(), section="S2")
     with registered.write() as unit:
         unit.tracks.add_alignment(replace(track, gauge_deviation=np.full(len(track.s), -narrower)))

@@ -25,13 +25,7 @@ from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import TableSum, bin_parameters, cells_of_window, init
 from estimation.values.geometry import BinTable, FilledCells
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.registry import (
-    FleetRecord,
-    Mounting,
-    Reprofiling,
-    VehicleRecord,
-    WheelsetRecord,
-)
+from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.roll_up import RollUpState
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import DueStage, Window, WindowState
@@ -222,7 +216,7 @@ def test_one_more_window_costs_itself(
 
     An interval of 20 km has 17 windows at most.
     """
-    monkeypatch.setattr(rolling, "KEPT_WAITING", 1)
+    monkeypatch.setattr(rolling, "WORK", replace(rolling.WORK, rolled_together=1))
     register(sqlite_storage)
     life = Life(sqlite_storage, tables, random.Random(1))  # noqa: S311
     costs = []

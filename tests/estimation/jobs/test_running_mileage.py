@@ -8,7 +8,8 @@ from dataclasses import replace
 import pytest
 from wheelset_life import DAY_NS, START_NS, window_record
 
-from estimation.motion.mileage import MOST_KM_DAY, running_mileage
+from estimation.motion.mileage import running_mileage
+from estimation.motion.parameters import MOTION
 from estimation.values.windows import WindowRecord
 
 
@@ -31,7 +32,7 @@ def test_a_garbled_mileage_is_no_distance(garbled: float) -> None:
     assert found == sorted(found)
     assert found[:2] == [500.0, 600.0]
     assert found[4] - found[3] == 100.0
-    assert found[3] - found[1] <= MOST_KM_DAY + 1340.0
+    assert found[3] - found[1] <= MOTION.most_km_day + 1340.0
 
 
 @pytest.mark.parametrize("garbled", [1e300, float("nan")])
@@ -49,4 +50,4 @@ def test_a_step_counts_up_to_what_can_be_run_in_the_time() -> None:
     assert running_mileage(windows([0.0, 660.0], every_ns=hours)) == [0.0, 660.0]
     assert running_mileage(windows([0.0, 670.0], every_ns=hours))[1] == pytest.approx(665.0)
     assert running_mileage(windows([0.0, 0.18], every_ns=second)) == [0.0, 0.18]
-    assert running_mileage(windows([0.0, 1.0], every_ns=second))[1] == pytest.approx(0.15 + MOST_KM_DAY / 86_400)
+    assert running_mileage(windows([0.0, 1.0], every_ns=second))[1] == pytest.approx(0.15 + MOTION.most_km_day / 86_400)

@@ -15,7 +15,8 @@ from wheelset_life import SetClock
 
 from estimation.errors import AlreadyRunningError, LeaseLostError, StorageError
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.jobs.scheduler import CHECK_S, serve_jobs
+from estimation.jobs.parameters import WORK
+from estimation.jobs.scheduler import serve_jobs
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage
 from estimation.values.registry import FleetRecord
@@ -106,7 +107,7 @@ def test_a_scheduler_goes_on_by_itself_when_its_database_has_crashed_and_is_back
         rounds.next.set()  # into a transaction without a database
         while storage_is_reached(storage):
             Event().wait(0.02)
-        Event().wait(2.0 * CHECK_S)  # until the scheduler has seen it
+        Event().wait(2.0 * WORK.scheduler_check_s)  # until the scheduler has seen it
         server.start()
         wait_for(rounds.wrote)  # the run after the outage
         after, before = runs_of(storage, "rounds")

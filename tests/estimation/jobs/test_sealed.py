@@ -21,10 +21,11 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord
 from estimation.values.roll_up import RolledPart
 from estimation.values.track import EpochMember, FoldState, TrackEpoch
+from estimation.values.units import DAY_NS
 from estimation.values.windows import PassedOver, WindowPosition, WindowState
 from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.purge import purge
-from fleet_db.keeping.retention import DAY_NS, Kept, Retention
+from fleet_db.keeping.retention import Kept, Retention
 from fleet_db.packed_values import pack_geometry
 from fleet_db.records import Decision, RecordKind
 from fleet_db.storage import SqlStorage
@@ -39,7 +40,7 @@ SAMPLES = Retention(**(NOTHING | {"window_samples": 1.0}))
 
 @pytest.fixture(autouse=True)
 def _rolled_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rolling, "KEPT_WAITING", 1)
+    monkeypatch.setattr(rolling, "WORK", replace(rolling.WORK, rolled_together=1))
 
 
 def purged(storage: SqlStorage, until: int = OLD, retention: Retention = BOTH) -> dict[str, int]:

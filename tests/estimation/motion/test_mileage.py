@@ -6,7 +6,8 @@ import random
 
 import pytest
 
-from estimation.motion.mileage import FASTER, MOST_KM, PAUSE_NS, SLACK_KM, implausible_mileages
+from estimation.motion.mileage import implausible_mileages
+from estimation.motion.parameters import MOTION
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Mounting
 from estimation.values.windows import MileageReading
@@ -46,10 +47,10 @@ def test_what_runs_on_is_believed() -> None:
 @pytest.mark.parametrize(
     ("mileage_km", "believed"),
     [
-        (100_000.0 - SLACK_KM, True),
-        (100_000.0 - SLACK_KM - 0.1, False),
-        (100_000.0 + SLACK_KM + 24 * 100 * FASTER, True),
-        (100_000.0 + SLACK_KM + 24 * 100 * FASTER + 0.1, False),
+        (100_000.0 - MOTION.slack_km, True),
+        (100_000.0 - MOTION.slack_km - 0.1, False),
+        (100_000.0 + MOTION.slack_km + 24 * 100 * MOTION.speed_slack_factor, True),
+        (100_000.0 + MOTION.slack_km + 24 * 100 * MOTION.speed_slack_factor + 0.1, False),
         (1e300, False),
         (float("nan"), False),
         (float("-inf"), False),
@@ -60,9 +61,14 @@ def test_a_mileage_is_possible_since_the_mounting(mileage_km: float, *, believed
 
 
 def test_limits_of_what_is_believed() -> None:
-    assert (MOST_KM, SLACK_KM, FASTER, PAUSE_NS) == (1e8, 50.0, 1.25, 30 * MINUTE_NS)
+    assert (MOTION.most_mileage_km, MOTION.slack_km, MOTION.speed_slack_factor, MOTION.journey_pause_ns) == (
+        1e8,
+        50.0,
+        1.25,
+        30 * MINUTE_NS,
+    )
     long_ago = Mounting("WS-1", "V-1", 1, -(2**62), None, 0.0, 0.0)
-    for mileage_km, refusals in ((MOST_KM, 0), (MOST_KM + 1.0, 1)):
+    for mileage_km, refusals in ((MOTION.most_mileage_km, 0), (MOTION.most_mileage_km + 1.0, 1)):
         assert len(implausible_mileages([MileageReading(2**62, mileage_km)], long_ago, 1e6)) == refusals
 
 

@@ -13,7 +13,8 @@ from paper_class import PAPER_CLASS
 from smooth_wheelset import GOOD
 
 from estimation.motion.integration import SignalParameters
-from estimation.motion.rolling_sums import BANDS, TERMS, rolling_sums
+from estimation.motion.parameters import MOTION
+from estimation.motion.rolling_sums import TERMS, rolling_sums
 from estimation.values.windows import ACCELERATIONS, Window
 from estimation.vehicle.vehicle_class import SensorChannel, SensorLayout, VehicleClass
 
@@ -73,7 +74,7 @@ def test_every_part_has_the_sums_of_plain_arrays(
 def test_parts_are_some_seconds_long_and_one_without_a_piece_is_left_out() -> None:
     whole = rolling_sums(window_of(1, 3000, []), PAPER_CLASS, SIGNALS)
     assert len(whole) == 4
-    assert whole[0].products.shape == (BANDS, TERMS, TERMS)
+    assert whole[0].products.shape == (MOTION.wavelength_bands, TERMS, TERMS)
     assert len(rolling_sums(window_of(1, 3000, [(700, 900)]), PAPER_CLASS, SIGNALS)) == 3
     assert rolling_sums(window_of(1, 300, []), PAPER_CLASS, SIGNALS) == ()
 

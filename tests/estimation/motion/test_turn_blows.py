@@ -8,14 +8,7 @@ from striking import INTERVAL, Struck, once_a_turn, struck_at
 from swaying import rough_track, sway
 
 from estimation.motion.hunting import find_hunting
-from estimation.motion.without_blows import (
-    LEAST_BLOW,
-    LEAST_STDS,
-    blow_times,
-    blows_unless_hunting,
-    find_turn_blows,
-    struck,
-)
+from estimation.motion.without_blows import BLOWS, blow_times, blows_unless_hunting, find_turn_blows, struck
 from estimation.values.arrays import BoolArray
 from estimation.values.windows import NO_BLOWS, TurnBlows
 
@@ -110,7 +103,9 @@ def test_every_turn_has_the_time_of_its_blow() -> None:
     assert apart.std() < 0.15
 
 
-@pytest.mark.parametrize(("size", "is_blow"), [(LEAST_BLOW - 0.5, False), (LEAST_BLOW + 1.5, True)])
+@pytest.mark.parametrize(
+    ("size", "is_blow"), [(BLOWS.least_blow_acceleration - 0.5, False), (BLOWS.least_blow_acceleration + 1.5, True)]
+)
 def test_a_blow_is_sharper_than_any_motion(size: float, is_blow: bool) -> None:  # noqa: FBT001 - of the table
     one = struck_at(np.array([200.0]), size, 20.0, 0.0)
     spoilt = struck(one.lateral - one.calm, np.zeros(len(one.calm)), INTERVAL)
@@ -119,7 +114,7 @@ def test_a_blow_is_sharper_than_any_motion(size: float, is_blow: bool) -> None: 
 
 
 def test_a_blow_is_six_times_the_vibration() -> None:
-    assert (LEAST_BLOW, LEAST_STDS) == (8.0, 6.0)
+    assert (BLOWS.least_blow_acceleration, BLOWS.least_blow_stds) == (8.0, 6.0)
     for size, is_blow in ((22.0, False), (40.0, True)):
         one = struck_at(np.array([200.0]), size, 20.0, 5.0)
         spoilt = struck(one.lateral, np.zeros(len(one.calm)), INTERVAL)

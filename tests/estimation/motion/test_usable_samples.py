@@ -17,8 +17,7 @@ from estimation.motion.window_motion import deconvolved, motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackLayout
 from estimation.values.windows import Motion, Window
-from estimation.vehicle.vehicle_class import VehicleParameters
-from ingest.simulator.motion import simulate_wheelset
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.track import Curve, TrackRecipe, make_track
 
 PARAMETERS = SignalParameters()
@@ -86,7 +85,7 @@ def test_curves_are_left_out_and_do_not_leak_into_the_straight() -> None:
 def test_a_simulated_curve_spoils_the_motion_unless_it_is_on_file() -> None:
     curve = Curve(700.0, 400.0, 3000.0, 0.005, 80.0)
     bent = make_track(TrackRecipe(length=2000.0, curves=(curve,)), np.random.SeedSequence(4))
-    m = simulate_wheelset(VehicleParameters(), SmoothTable(), bent, np.full(60_000, 20.0), 300.0)
+    m = simulate_gear(RunningGear(), [SmoothTable()], bent, np.full(60_000, 20.0), 300.0)[0]
     window = mems_windows(m, seed=0, density=0.0)[0]
     path = m.path_accelerations
     assert path is not None
@@ -138,7 +137,7 @@ def test_passes_keep_to_the_straight_too() -> None:
 def test_stops_are_left_out_and_do_not_leak_into_the_running() -> None:
     t = np.arange(60_000) * 1e-3
     speed = np.interp(t, [0, 12, 24, 32, 36, 48, 60], [20, 20, 0, 0, 4, 20, 20])
-    m = simulate_wheelset(VehicleParameters(), SmoothTable(), track(1), speed, 10.0)
+    m = simulate_gear(RunningGear(), [SmoothTable()], track(1), speed, 10.0)[0]
     window = mems_windows(m, seed=0)[0]
     found = moved(window)
     assert not found.valid[window.speed < PARAMETERS.least_speed_m_s].any()

@@ -48,11 +48,16 @@ def codes(estimates: tuple[Estimate, ...]) -> list[ReasonCode | None]:
 
 def test_a_change_counts_within_a_quarter_of_a_millimetre_to_either_side() -> None:
     curve = np.array([0.2, 0.24, 0.24, 0.20])
-    assert next_to_jump(curve, AMPLITUDE, 0.03).tolist() == [True, True, False, False]  # 2.5 and 3 mm are further apart
-    assert next_to_jump(curve[::-1], AMPLITUDE, 0.03).tolist() == [True, True, False, False]
-    assert on_rise(curve, AMPLITUDE, 0.03).tolist() == [True, True, False, False]
-    assert not on_rise(-curve, AMPLITUDE, 0.03).any()
-    assert not next_to_jump(np.array([0.2, np.nan, 0.3, 0.3]), AMPLITUDE, 0.03).any()
+    assert next_to_jump(curve, AMPLITUDE, 0.03, RailsParameters()).tolist() == [
+        True,
+        True,
+        False,
+        False,
+    ]  # 2.5 and 3 mm are further apart
+    assert next_to_jump(curve[::-1], AMPLITUDE, 0.03, RailsParameters()).tolist() == [True, True, False, False]
+    assert on_rise(curve, AMPLITUDE, 0.03, RailsParameters()).tolist() == [True, True, False, False]
+    assert not on_rise(-curve, AMPLITUDE, 0.03, RailsParameters()).any()
+    assert not next_to_jump(np.array([0.2, np.nan, 0.3, 0.3]), AMPLITUDE, 0.03, RailsParameters()).any()
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -74,13 +74,13 @@ def test_the_degrees_of_freedom_are_the_trace_of_what_is_left_over(known: int) -
 
 @pytest.mark.parametrize(("slope", "found"), [(-0.7, -0.7), (-0.95, -0.8), (1.9, 1.9), (2.5, 2.0)])
 def test_slopes_are_within_their_limits(slope: float, found: float) -> None:
-    """Pins ``SLOPES``."""
+    """Pins ``slope_range``."""
     cells = crossed(40, np.array([0.0, 0.1]), np.array([0.0, slope]), np.zeros(80))
     assert part(cells, replace(PARAMETERS, slope_std=30.0)).slope[1] == pytest.approx(found, abs=2e-3)
 
 
 def test_the_interaction_is_not_below_a_thousandth() -> None:
-    """Pins ``LOWEST_TAU``, where nothing is known of it beforehand and the cells are exact."""
+    """Pins ``lowest_tau``, where nothing is known of it beforehand and the cells are exact."""
     exact = replace(PARAMETERS, interaction_weight=0.0)
     assert part(additive(12, 0.0), exact).interaction == pytest.approx(1e-3)
 

@@ -67,7 +67,7 @@ def test_a_section_without_trend_says_why(excess: list[float], known: tuple[str,
 
 
 def test_a_line_is_doubted_beyond_99_percent() -> None:
-    """Pins ``DOUBT``: Fisher's distribution for one value over, with many degrees of freedom behind its errors."""
+    """Pins ``doubted_share``: Fisher's distribution for one value over, with many degrees of freedom."""
     covariance = np.diag(np.full(3, 0.01**2))
     kink = np.array([0.0, 1.0, 0.0])  # weighted squares of what is left: kink^2 * 2/3
     for share, fits in ((0.99, True), (1.01, False)):

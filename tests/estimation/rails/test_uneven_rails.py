@@ -85,7 +85,7 @@ def test_of_two_sections_that_differ_nobody_knows_which_is_even() -> None:
 
 
 def test_half_of_all_sections_are_not_most() -> None:
-    """Pins ``MOST``."""
+    """Pins ``most_uneven_share``."""
     assert left_out(apart(runs({"A": 0.0, "B": 1.4, "C": 0.0, "D": 1.4}), measured())) == {"A", "B", "C", "D"}
     assert left_out(apart(runs({"A": 0.0, "B": 1.4, "C": 0.0, "D": 1.4, "E": 0.0}), measured())) == {"B", "D"}
 

@@ -13,7 +13,8 @@ from signature_draws import PARAMETERS, Draw
 
 from estimation.signatures.answer import judged
 from estimation.signatures.library import Libraries, Library, Subject
-from estimation.signatures.window_signatures import ALONE, FOLDS, families, folds, sharers
+from estimation.signatures.parameters import SIGNATURE
+from estimation.signatures.window_signatures import SignatureParameters, families, folds, sharers
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import AxlePosition, DesignPair, LibraryEntry
 
@@ -63,17 +64,19 @@ def test_wheelsets_of_one_fold_share_a_library_and_small_libraries_leave_out_one
     entries = draw(0, CONICITIES, 2)
     libraries = Libraries(entries, PARAMETERS)
     made = {id(libraries.library(subject(f"W{number}"))) for number in range(21)}
-    assert len(made) == FOLDS
+    assert len(made) == SIGNATURE.fold_count
     whole = libraries.library(subject("X"))
     assert isinstance(whole, Library)
     assert len(whole.entries) == len(entries), "who is not in it is judged by all"
-    few = draw(0, CONICITIES[:ALONE], 2)
-    for number in range(ALONE):
+    few = draw(0, CONICITIES[: SignatureParameters().most_own_folds], 2)
+    for number in range(SignatureParameters().most_own_folds):
         found = Libraries(few, PARAMETERS).admitted(subject(f"W{number}"))
         assert found.left_out == {ReasonCode.SAME_WHEELSET: 8}
-    one_more = Libraries(draw(0, CONICITIES[: ALONE + 1], 2), PARAMETERS).admitted(subject("W0"))
+    one_more = Libraries(draw(0, CONICITIES[: SignatureParameters().most_own_folds + 1], 2), PARAMETERS).admitted(
+        subject("W0")
+    )
     assert one_more.left_out[ReasonCode.JUDGED_TOGETHER] > 0
-    assert (ALONE, FOLDS) == (12, 6)
+    assert (SignatureParameters().most_own_folds, SIGNATURE.fold_count) == (12, 6)
 
 
 def test_eight_others_are_enough_for_a_wheelset_of_a_small_library(draw: Draw) -> None:
@@ -131,11 +134,14 @@ def test_families_are_what_joining_pair_by_pair_gives(groups: list[frozenset[str
 def test_folds_part_the_wheelsets_and_no_family(draw: Draw) -> None:
     entries = draw(0, CONICITIES, 1)
     paired = [replace(one, shares_data=(one.wheelset, f"W{int(one.wheelset[1:]) // 2 * 2}")) for one in entries]
-    found = folds(paired)
+    found = folds(paired, SignatureParameters())
     assert sorted(name for fold in found for name in fold) == sorted(names(tuple(entries)))
     for entry in paired:
         assert sum(bool(fold & sharers(entry)) for fold in found) == 1
-    means = [np.mean([one.conicity for one in entries if one.wheelset in fold]) for fold in folds(entries)]
+    means = [
+        np.mean([one.conicity for one in entries if one.wheelset in fold])
+        for fold in folds(entries, SignatureParameters())
+    ]
     assert np.ptp(means) < 0.06, "every fold has all kinds"
 
 

@@ -13,8 +13,9 @@ from estimation.signatures import calibration
 from estimation.signatures.answer import judged
 from estimation.signatures.calibration import NORMAL, SHARES, Calibration, differences, judged_by, unjudged
 from estimation.signatures.library import Library, library, rows_of
-from estimation.signatures.mixed_model import CONICITY, LARGEST_SHARE, Likelihood, _less, fitted
-from estimation.signatures.window_signatures import sharers
+from estimation.signatures.mixed_model import Likelihood, _less, fitted
+from estimation.signatures.parameters import SIGNATURE
+from estimation.signatures.window_signatures import SignatureParameters, sharers
 from estimation.values.arrays import FloatArray
 from estimation.values.signatures import Basis, ConicitySource, LibraryEntry
 
@@ -38,19 +39,19 @@ def of_weights(weights: FloatArray) -> Calibration:
 
 def factor(found: list[calibration._Judged]) -> float:
     """Return the factor on the std of an answer where nothing on file is off in common."""
-    return of_weights(calibration._weights(found, NOTHING)).std(1.0, np.zeros(len(SHARES)))
+    return of_weights(calibration._weights(found, NOTHING, SignatureParameters())).std(1.0, np.zeros(len(SHARES)))
 
 
 def test_the_factor_covers_where_stds_are_off_by_as_much_as_it_expects() -> None:
     rng = np.random.default_rng(0)
     held = []
     for _ in range(1500):
-        scale = 0.004 * np.exp(calibration.FACTOR_STD * rng.standard_normal())
+        scale = 0.004 * np.exp(SignatureParameters().factor_std * rng.standard_normal())
         errors = np.hypot(scale, 0.003) * rng.standard_normal(14)
         half = NORMAL * factor(answers(errors, on_file=0.003)) * 0.004
         held.append(abs(scale * rng.standard_normal()) <= half)
     assert np.mean(held) == pytest.approx(0.95, abs=0.015)
-    assert calibration.FACTOR_STD == 0.3
+    assert SignatureParameters().factor_std == 0.3
 
 
 @pytest.mark.parametrize("true", [0.5, 1.0, 2.0])
@@ -68,10 +69,10 @@ def test_answers_about_one_wheelset_count_as_one() -> None:
 def test_answers_about_tracks_that_are_refused_do_not_count_for_the_factor() -> None:
     good = answers(0.004 * np.random.default_rng(3).standard_normal(20))
     refused = [replace(one, error=0.05, like=False) for one in good[:5]]
-    found = calibration._of(iter([*good, *refused]), NOTHING)
+    found = calibration._of(iter([*good, *refused]), NOTHING, SignatureParameters())
     assert isinstance(found, Calibration)
     assert found.std(1.0, np.zeros(len(SHARES))) == pytest.approx(factor(good))
-    alone = calibration._of(iter(replace(one, like=False) for one in good), NOTHING)
+    alone = calibration._of(iter(replace(one, like=False) for one in good), NOTHING, SignatureParameters())
     assert isinstance(alone, Calibration), "where all are refused they are better than nothing"
 
 
@@ -112,7 +113,7 @@ def test_errors_that_a_share_explains_do_not_raise_the_factor() -> None:
     found = [replace(one, claimed=0.01**2) for one in answers(errors)]
     certain = np.zeros((2, len(SHARES)))
     certain[0, 0] = certain[1, -1] = 1.0
-    weights = [calibration._weights(found, shares) for shares in certain]
+    weights = [calibration._weights(found, shares, SignatureParameters()) for shares in certain]
     np.testing.assert_allclose([one.sum() for one in weights], 1.0)
     none, whole = (float(np.sum(one @ calibration.FACTORS)) for one in weights)
     assert none > 2.0
@@ -127,7 +128,7 @@ def test_of_one_more_wheelset_of_the_same_kind_one_in_a_hundred_is_novel() -> No
         reach = calibration._reach(list(np.exp(drawn[:14])), 14)
         novel.append(np.exp(drawn[14]) > reach.largest)
     assert np.mean(novel) == pytest.approx(0.01, abs=0.004)
-    assert calibration.NOVEL == 0.99
+    assert SIGNATURE.novel_quantile == 0.99
 
 
 def test_novelty_is_that_of_all_features_or_that_of_roll() -> None:
@@ -143,7 +144,7 @@ def share(entries: Sequence[LibraryEntry]) -> float:
     """Return the share of the variances that is taken to be each wheelset's own."""
     before, groups = unjudged(entries), [sharers(one) for one in entries]
     rows = rows_of(entries, np.zeros(len(entries)))
-    of = judged_by(before, differences(rows, before, groups, PARAMETERS.margin))
+    of = judged_by(before, differences(rows, before, groups, PARAMETERS.margin), SignatureParameters())
     return float(np.mean(of.alone**2) / np.mean([one.std**2 for one in entries]))
 
 
@@ -202,14 +203,14 @@ def test_conicities_with_errors_that_do_not_show_do_not_draw_answers_to_the_mean
 def test_the_ends_of_a_library_are_less_certain_than_its_middle(draw: Draw) -> None:
     """Three coefficients are fitted to the wheelsets: at an end they rest on few."""
     model = fitted(rows_of(draw(0, CONICITIES, 2, std=1e-6), np.zeros(21 * 8)))
-    terms = [np.array([1.0, c, c * c]) for c in np.log(np.array([0.16, 0.26]) / CONICITY)]
+    terms = [np.array([1.0, c, c * c]) for c in np.log(np.array([0.16, 0.26]) / SIGNATURE.middle_conicity)]
     end, middle = (float(term @ model.leverage @ term) for term in terms)
     assert middle < 0.15
     assert end > 0.25
     hat = [
         float(t @ model.leverage @ t)
         for c in CONICITIES
-        for x in [np.log(c / CONICITY)]
+        for x in [np.log(c / SIGNATURE.middle_conicity)]
         for t in [np.array([1, x, x * x])]
     ]
     assert np.sum(hat) == pytest.approx(3.0, rel=0.01), "the trace of the hat matrix is the number of coefficients"
@@ -221,4 +222,4 @@ def test_a_covariance_less_a_part_of_it_is_the_rest_and_never_less_than_a_tenth(
     whole = first + 9 * second
     np.testing.assert_allclose(_less(whole, first), 9 * second, rtol=1e-8)
     np.testing.assert_allclose(_less(first, 3 * first), 0.1 * first, rtol=1e-8)
-    assert LARGEST_SHARE == 0.9
+    assert SIGNATURE.largest_share == 0.9

@@ -10,26 +10,12 @@ from signature_draws import PARAMETERS, Draw, signature
 
 from estimation.signatures import calibration
 from estimation.signatures.answer import compared, judged, most_likely, states
-from estimation.signatures.library import (
-    LARGEST,
-    LEAST_PASSES,
-    ROUNDS,
-    Libraries,
-    Library,
-    Subject,
-    current,
-    library,
-)
+from estimation.signatures.library import Libraries, Library, Subject, current, library
+from estimation.signatures.parameters import SIGNATURE
+from estimation.signatures.window_signatures import SignatureParameters
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.signatures import (
-    AxlePosition,
-    Basis,
-    ConicitySource,
-    LibraryEntry,
-    Place,
-    SignatureAnswer,
-)
+from estimation.values.signatures import AxlePosition, Basis, ConicitySource, LibraryEntry, Place, SignatureAnswer
 
 CONICITIES = np.linspace(0.16, 0.36, 21)
 
@@ -250,7 +236,7 @@ def test_the_section_that_was_tamped_is_found_and_its_old_entries_retired(draw: 
     changed = {Place("S1", cell): np.full(3 * PARAMETERS.bands, -0.8) for cell in (2, 3)}
     before = draw(0, CONICITIES, 3)
     after = draw(1, CONICITIES, 3, start_ns=10**6, shift=changed)
-    found = current([*before, *after])
+    found = current([*before, *after], SignatureParameters())
     assert {one.place for one in found.changes} == set(changed)
     assert {one.entry.signature.place for one in found.retired} == set(changed)
     assert all(one.entry.signature.start_ns < 10**6 for one in found.retired)
@@ -262,21 +248,27 @@ def test_a_change_is_found_where_it_is_of_half_of_a_small_library(draw: Draw) ->
     """It does not hide in the scatter that it makes itself."""
     changed = {Place("S0", cell): np.linspace(-0.8, 0.8, 3 * PARAMETERS.bands) for cell in (2, 3)}
     few = CONICITIES[::2]
-    found = current([*draw(0, few, 1), *draw(1, few, 1, start_ns=10**6, shift=changed)])
+    found = current([*draw(0, few, 1), *draw(1, few, 1, start_ns=10**6, shift=changed)], SignatureParameters())
     assert {one.place for one in found.changes} == set(changed)
 
 
 def test_track_that_was_left_alone_retires_nothing(draw: Draw) -> None:
     retired = 0
     for seed in range(6):
-        found = current([*draw(seed, CONICITIES, 3), *draw(50 + seed, CONICITIES, 3, start_ns=10**6)])
+        found = current(
+            [*draw(seed, CONICITIES, 3), *draw(50 + seed, CONICITIES, 3, start_ns=10**6)], SignatureParameters()
+        )
         retired += len(found.retired)
     assert retired == 0
 
 
 def test_what_decides_retirement_and_novelty_is_where_it_was_measured_to_be() -> None:
-    assert (LARGEST, LEAST_PASSES, ROUNDS) == (5.5, 3, 2)
-    assert (calibration.NOVEL, calibration.COVERAGE) == (0.99, 0.95)
+    assert (
+        SignatureParameters().largest_distance,
+        SignatureParameters().least_passes,
+        SignatureParameters().library_rounds,
+    ) == (5.5, 3, 2)
+    assert (SIGNATURE.novel_quantile, calibration.COVERAGE) == (0.99, 0.95)
 
 
 def estimate(value: float, half: float) -> Estimate:

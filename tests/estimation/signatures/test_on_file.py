@@ -8,17 +8,9 @@ import numpy as np
 import pytest
 from signature_draws import Draw
 
-from estimation.signatures.calibration import (
-    ANSWER_SPREAD,
-    ANSWER_STD,
-    NEAR,
-    RELUCTANCE,
-    SHARES,
-    Differences,
-    OnFile,
-    judged_by,
-    unjudged,
-)
+from estimation.signatures.calibration import SHARES, Differences, OnFile, judged_by, unjudged
+from estimation.signatures.parameters import SIGNATURE
+from estimation.signatures.window_signatures import SignatureParameters
 from estimation.values.signatures import ConicitySource, LibraryEntry
 
 CONICITIES = np.linspace(0.16, 0.36, 21)
@@ -35,7 +27,7 @@ def seen(of: OnFile, std: float, answers: float = 6.0, wheelsets: int = 28) -> O
     one = np.ones(wheelsets)
     claimed = float(np.max(of.claimed)) ** 2
     own = float(np.max(of.own)) ** 2
-    return judged_by(of, Differences(std * one, answers * one, own * one, claimed * one))
+    return judged_by(of, Differences(std * one, answers * one, own * one, claimed * one), SignatureParameters())
 
 
 def share(of: OnFile) -> float:
@@ -58,7 +50,11 @@ def slow_posterior(std: float, answers: float, wheelsets: int) -> float:
 def test_the_share_is_the_mean_of_its_posterior(draw: Draw, std: float, answers: float, wheelsets: int) -> None:
     found = share(seen(unjudged(geometries(draw)), std, answers, wheelsets))
     assert found == pytest.approx(slow_posterior(std, answers, wheelsets), rel=1e-6)
-    assert (ANSWER_STD, ANSWER_SPREAD, RELUCTANCE) == (0.006, 0.3, 3)
+    assert (
+        SignatureParameters().answer_std,
+        SignatureParameters().answer_spread,
+        SignatureParameters().reluctance,
+    ) == (0.006, 0.3, 3)
 
 
 def test_differences_that_answers_explain_are_not_the_wheelsets_own(draw: Draw) -> None:
@@ -92,7 +88,9 @@ def test_sources_have_shares_of_their_own(draw: Draw) -> None:
     before = unjudged(entries)
     measured = np.arange(20) < 10
     found = judged_by(
-        before, Differences(np.where(measured, 0.004, 0.002), np.full(20, 2.0), 9e-6 * measured, 1e-4 * ~measured)
+        before,
+        Differences(np.where(measured, 0.004, 0.002), np.full(20, 2.0), 9e-6 * measured, 1e-4 * ~measured),
+        SignatureParameters(),
     )
     np.testing.assert_allclose(found.own.max(), 0.003)
     assert share(found) < 0.1
@@ -106,4 +104,4 @@ def test_what_is_shared_adds_up_as_it_is_and_counts_near_by(draw: Draw) -> None:
     near = np.exp(-0.5 * ((of.conicity - 0.16) / 0.03) ** 2)
     assert whole[0] == pytest.approx(near @ of.claimed / near.sum())
     assert whole[0] > 1.5 * whole[1]
-    assert NEAR == 0.03
+    assert SIGNATURE.near_conicity == 0.03

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimation.tables.bin_table import FAST_SAMPLES, MEDIAN_TO_STD, fast_noise
+from estimation.motion.parameters import MOTION
+from estimation.tables.bin_table import fast_noise
+from estimation.values.units import STD_PER_MAD
 
 N, RATE = 30_000, 250.0
 T = np.arange(N) / RATE
@@ -33,4 +35,4 @@ def test_samples_that_do_not_count_are_left_out() -> None:
 
 
 def test_the_mean_is_over_some_hundredths_of_a_second() -> None:
-    assert (FAST_SAMPLES, MEDIAN_TO_STD) == (17, 1.4826)
+    assert (MOTION.fast_mean_samples, STD_PER_MAD) == (17, 1.4826)

@@ -10,7 +10,7 @@ import pytest
 from test_panel import PANEL, fleet_passes
 
 from estimation.track.gridded_pass import GriddedPass, grid_pass
-from estimation.track.panel.basis import init, update
+from estimation.track.panel.basis import PanelParameters, init, update
 from estimation.track.panel.instrumental_slope import SlopeCorrection, common_slope, slope_correction, with_instrument
 from estimation.track.panel.solution import PanelSolution, result
 from estimation.track.passes import Pass
@@ -27,7 +27,7 @@ def _noisy(name: str, std: float) -> list[Pass]:
 def _solved(passes: Sequence[Pass]) -> tuple[list[GriddedPass], PanelSolution, SlopeCorrection]:
     gridded = [grid_pass(item, PANEL.grid) for item in passes]
     state = update(init(PANEL), gridded)
-    solution = result(state)
+    solution = result(state, parameters=PanelParameters())
     return gridded, solution, slope_correction(state, solution)
 
 

@@ -43,7 +43,7 @@ def fleet_passes(seed: int = 1, alike: bool = False) -> tuple[Pass, ...]:  # noq
 
 
 def _solved(found: tuple[Pass, ...]) -> PanelSolution:
-    return result(update(init(PANEL), [grid_pass(item, PANEL.grid) for item in found]))
+    return result(update(init(PANEL), [grid_pass(item, PANEL.grid) for item in found]), parameters=PanelParameters())
 
 
 def test_the_local_fit_takes_out_cubics_and_halves_the_cut_off() -> None:
@@ -134,6 +134,6 @@ def test_one_wheelset_alone_or_wheelsets_all_alike_say_nothing() -> None:
 
 
 def test_nothing_and_what_is_too_short_are_unestimated() -> None:
-    assert result(init(Panel.of(PanelParameters(length=500.0, basis_count=5)))).reason
+    assert result(init(Panel.of(PanelParameters(length=500.0, basis_count=5))), parameters=PanelParameters()).reason
     short = Pass(ProfileLife("W"), "V", 0, np.arange(90) * 0.08, np.zeros(90), np.zeros(90))
     assert update(init(PANEL), [grid_pass(short, PANEL.grid)]).passes.sum() == 0

@@ -9,7 +9,7 @@ import pytest
 from test_panel import PANEL, fleet_passes
 
 from estimation.track.gridded_pass import place
-from estimation.track.panel.basis import init, update
+from estimation.track.panel.basis import PanelParameters, init, update
 from estimation.track.panel.solution import result
 from estimation.track.passes import Journey, Pass, PositionParameters, journeys
 from estimation.track.positions import correlate_positions, refine
@@ -47,7 +47,9 @@ def test_offsets_and_scales_are_found_by_correlation_and_refined_by_the_panel() 
     assert np.abs(coarse).max() < 2.0
     for _ in range(4):
         placed = place(grouped, corrections, {}, PANEL.grid)
-        solution = result(update(init(PANEL), [item for one in placed.values() for item in one.passes]))
+        solution = result(
+            update(init(PANEL), [item for one in placed.values() for item in one.passes]), parameters=PanelParameters()
+        )
         corrections = refine(placed, solution, PANEL)
     fine = _left_over(corrections)
     assert np.sqrt((fine**2).mean()) < 0.1

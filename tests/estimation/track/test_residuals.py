@@ -13,11 +13,12 @@ from whole_runs import whole_runs
 from window_passes import window_passes
 
 from estimation.filters import high_pass, local_cubic_kernel
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Pass, ProfileLife
-from estimation.track.section import LEAST_USUAL, USUAL_FACTOR, Residuals, SectionEstimate, estimate_section
+from estimation.track.section import Residuals, SectionEstimate, estimate_section
 from estimation.track.settings import SectionParameters
 from estimation.vehicle.vehicle_class import VehicleParameters
-from ingest.simulator.motion import simulate_wheelset
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 
 HOLLOW = ("hollow", 0.05, 20.0)  # name, cone, speed
 HEALTHY = (("B", 0.14, 20.0), ("C", 0.09, 20.0), ("D", 0.16, 23.0), ("E", 0.07, 17.0), ("F", 0.12, 18.0))
@@ -34,7 +35,7 @@ class HollowTable(SmoothTable):
 @cache
 def one_pass(name: str, cone: float, speed: float) -> tuple[Pass, ...]:
     table = HollowTable(cone) if name == "hollow" else SmoothTable(cone)
-    m = simulate_wheelset(VehicleParameters(), table, track(1), np.full(120_000, speed), 10.0)
+    m = simulate_gear(RunningGear(), [table], track(1), np.full(120_000, speed), 10.0)[0]
     (window,) = whole_runs(mems_windows(m, seed=ord(name[0])))
     return tuple(
         replace(item, life=ProfileLife(name), vehicle=f"V {name}")
@@ -72,17 +73,22 @@ def test_what_is_usual_counts_whole_and_what_is_not_counts_less_and_less() -> No
             ProfileLife("E"): float("nan"),
         },
     )
-    usual = USUAL_FACTOR * 0.1245e-3
+    usual = TRACK.usual_std_factor * 0.1245e-3
     assert rms_residuals.weights() == {ProfileLife("D"): pytest.approx((usual / 0.3e-3) ** 4)}
     assert (
         Residuals(
-            {}, {ProfileLife("A"): 0.01e-3, ProfileLife("B"): 0.01e-3, ProfileLife("C"): 0.99 * LEAST_USUAL}
+            {}, {ProfileLife("A"): 0.01e-3, ProfileLife("B"): 0.01e-3, ProfileLife("C"): 0.99 * TRACK.least_usual_std}
         ).weights()
         == {}
     )
     assert (
         Residuals(
-            {}, {ProfileLife("A"): 0.1e-3, ProfileLife("B"): 0.1e-3, ProfileLife("C"): 1.2 * USUAL_FACTOR * 0.1e-3}
+            {},
+            {
+                ProfileLife("A"): 0.1e-3,
+                ProfileLife("B"): 0.1e-3,
+                ProfileLife("C"): 1.2 * TRACK.usual_std_factor * 0.1e-3,
+            },
         ).weights()
         == {}
     )  # hardly matters

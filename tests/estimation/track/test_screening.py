@@ -17,8 +17,8 @@ from estimation.track.gridded_pass import grid_pass
 from estimation.track.panel.basis import Panel, PanelParameters, init, update
 from estimation.track.panel.solution import PanelSolution, result
 from estimation.track.passes import Pass, PassStatus, ProfileLife, examine
+from estimation.track.screening.agreement import ScreeningParameters, alignment_segment, filter_pass
 from estimation.track.screening.agreement import agreement as agree
-from estimation.track.screening.agreement import alignment_segment, filter_pass
 from estimation.track.screening.screen import screen
 from estimation.values.track import TrackAlignment
 
@@ -79,7 +79,7 @@ def test_a_position_that_jumps_between_windows_is_refused_where_it_leaves_its_jo
 
 def solved(used: Sequence[Pass]) -> PanelSolution:
     panel = Panel.of(PANEL)
-    return result(update(init(panel), [grid_pass(item, panel.grid) for item in used]))
+    return result(update(init(panel), [grid_pass(item, panel.grid) for item in used]), parameters=PanelParameters())
 
 
 @settings(max_examples=6)
@@ -123,7 +123,7 @@ def test_chance_agrees_as_often_as_it_says() -> None:
     for k, one in enumerate(signals):
         for other in signals[k + 1 :]:
             backwards = replace(other, first=one.first, signals=other.signals[:, ::-1])
-            found.append(agree(one, backwards, 45.0, 100.0).log10_chance)
+            found.append(agree(one, backwards, 45.0, 100.0, ScreeningParameters()).log10_chance)
     assert len(found) > 200
     assert np.mean(np.array(found) < -1.0) < 0.2
     assert min(found) > -6.0
@@ -134,7 +134,7 @@ def test_an_agreement_finds_shift_and_factor() -> None:
     assert item is not None
     d = alignment_segment(KNOWN, item.first - 100, item.last + 100, 30.0, 0.5)
     assert d is not None
-    found = agree(item, d, 45.0, 100.0)
+    found = agree(item, d, 45.0, 100.0, ScreeningParameters())
     assert found.shift == pytest.approx(-7.0, abs=0.51)
     assert found.factor == pytest.approx(1.0, abs=0.05)
     assert found.correlation > 0.9
@@ -148,7 +148,9 @@ def test_the_other_direction_gives_the_same_alignment_and_the_same_wheelset() ->
     assert len(screened.used) == len(both)
     apart = [replace(item, life=ProfileLife(item.wheelset + " turned")) if item.side < 0 else item for item in both]
     panel = Panel.of(replace(PANEL, length=13_000.0, reach=1.0e-3))
-    both_ways = result(update(init(panel), [grid_pass(item, panel.grid) for item in apart]))
+    both_ways = result(
+        update(init(panel), [grid_pass(item, panel.grid) for item in apart]), parameters=PanelParameters()
+    )
     for name in ("W0", "W2"):
         here, there = (both_ways.lives.index(ProfileLife(serial)) for serial in (name, f"{name} turned"))
         k = len(both_ways.knots)

@@ -14,7 +14,7 @@ from window_passes import window_passes
 from estimation.track.gridded_pass import grid_pass, with_ratio
 from estimation.track.iteration import IterationParameters, IterationResult, iterate
 from estimation.track.panel.basis import Panel, PanelParameters
-from estimation.track.panel.instrumental_slope import PRIOR_STD, SYSTEMATIC_STD, Ratio, with_ratio_std
+from estimation.track.panel.instrumental_slope import PRIOR_STD, Ratio, with_ratio_std
 from estimation.track.passes import Pass, PositionParameters, journeys
 from estimation.track.results import findings
 from estimation.vehicle.vehicle_class import VehicleParameters
@@ -55,7 +55,7 @@ def test_the_std_of_a_ratio_covers_its_error_and_reaches_the_geometry() -> None:
     one = iterated(0.8)
     truth = {f"{SOFT:g}": 1 / 0.8, f"{RIGHT:g}": 1.0}
     for vehicle, ratio in one.ratios.items():
-        assert SYSTEMATIC_STD < ratio.std < 0.05
+        assert PanelParameters().ratio_systematic_std < ratio.std < 0.05
         assert abs(ratio.value - truth[vehicle]) < 2.5 * ratio.std
     track_findings = findings(one, gauge_estimated=False)[0]
     assert track_findings.stiffness_ratio_std == max(ratio.std for ratio in one.ratios.values())
@@ -82,11 +82,11 @@ def test_what_the_curves_leave_unexplained_widens_a_ratio_as_far_as_the_stiffnes
 
 def weighed(plain: float, more: float) -> float:
     """Return the std of a ratio with one more error of its step, from the std without it."""
-    of_data = np.sqrt(plain**2 - SYSTEMATIC_STD**2)  # sqrt(w) e with w = p^2/(p^2 + e^2)
+    of_data = np.sqrt(plain**2 - PanelParameters().ratio_systematic_std ** 2)  # sqrt(w) e with w = p^2/(p^2 + e^2)
     before = PRIOR_STD**2 * of_data**2 / (PRIOR_STD**2 - of_data**2)
     square = before + more**2
     worth = PRIOR_STD**2 / (PRIOR_STD**2 + square)
-    return float(np.hypot(np.sqrt(worth * square), SYSTEMATIC_STD))
+    return float(np.hypot(np.sqrt(worth * square), PanelParameters().ratio_systematic_std))
 
 
 def test_the_ratio_makes_the_radius_difference_that_of_the_vehicle_as_it_is() -> None:

@@ -10,15 +10,12 @@ import pytest
 
 from estimation.filters import high_pass, local_cubic_kernel
 from estimation.track.panel.basis import PanelParameters
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Pass, ProfileLife
-from estimation.track.results import CORRELATED, REPORTED_STD, position_std, shrunk
+from estimation.track.results import position_std, shrunk
 from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.settings import SectionParameters
 from estimation.track.survey_posterior import (
-    EDGES,
-    FILED_SAMPLES,
-    LOCAL,
-    LOCAL_STDS,
     SurveyPosterior,
     _bands_of,
     _learnt,
@@ -82,7 +79,7 @@ def posterior(std: float, stated: float, journeys: int = 6, follows: float = 0.0
 
 
 def error(d: FloatArray) -> float:
-    rest = high_pass(d - TRUE[300:-300], local_cubic_kernel(EDGES[0], 1.0))
+    rest = high_pass(d - TRUE[300:-300], local_cubic_kernel(TRACK.band_edges[0], 1.0))
     return float(np.sqrt(np.mean(rest[SHARED] ** 2)))
 
 
@@ -119,7 +116,7 @@ def test_passes_count_by_the_share_that_curves_leave_of_them() -> None:
     stds = []
     for explained in (1.0, 0.99, 0.8):
         slope = replace(found.iterated.slope, explained=explained)
-        bands = survey_bands(replace(found.iterated, slope=slope), on_file, 0.02e-3)
+        bands = survey_bands(replace(found.iterated, slope=slope), on_file, 0.02e-3, SectionParameters())
         assert bands is not None
         passes = [np.where(np.isfinite(one.passes_variance), one.passes_variance, 0.0) for one in bands.bands]
         stds.append(float(np.sqrt(np.median(total_variance(passes)[SHARED]))))
@@ -138,7 +135,9 @@ def test_where_both_differ_more_than_elsewhere_neither_is_believed() -> None:
     found, on_file = estimate(0.1e-3, 0.1e-3)
     assert found.iterated is not None
     tamped = np.where((np.arange(N) > 700) & (np.arange(N) < 900), waves(9, N, 3.0, 1e-3), 0.0)
-    bands = survey_bands(found.iterated, replace(on_file, alignment=on_file.alignment + tamped), 0.02e-3)
+    bands = survey_bands(
+        found.iterated, replace(on_file, alignment=on_file.alignment + tamped), 0.02e-3, SectionParameters()
+    )
     assert bands is not None
     std = bands.posterior_std(120.0)
     assert np.median(std[750:850]) > 4.0 * np.median(std[300:600])
@@ -153,29 +152,37 @@ def test_one_journey_shows_nothing_of_its_own_errors() -> None:
 def test_a_survey_that_no_pass_meets_is_not_weighed() -> None:
     found, on_file = estimate(0.2e-3, 0.2e-3)
     assert found.iterated is not None
-    assert survey_bands(found.iterated, replace(on_file, s=on_file.s + 1e4), 0.02e-3) is None
+    assert survey_bands(found.iterated, replace(on_file, s=on_file.s + 1e4), 0.02e-3, SectionParameters()) is None
 
 
 def test_a_variance_is_learnt_as_far_as_passes_can_tell_it_from_their_own() -> None:
-    assert _learnt(4.0, 1.0, 0.0, 1.0, 100.0) == pytest.approx((100.0 * 3.0 + FILED_SAMPLES) / (100.0 + FILED_SAMPLES))
-    assert _learnt(1.0, 2.0, 1.0, 0.5, 100.0) == pytest.approx(0.5)  # passes explain all of it: as on file
-    assert _learnt(1.0, 2.0, 1.0, 5.0, 100.0) == pytest.approx(1.0)  # but it is no more than both differ by
+    assert _learnt(4.0, 1.0, 0.0, 1.0, 100.0, SectionParameters()) == pytest.approx(
+        (100.0 * 3.0 + SectionParameters().filed_samples) / (100.0 + SectionParameters().filed_samples)
+    )
+    assert _learnt(1.0, 2.0, 1.0, 0.5, 100.0, SectionParameters()) == pytest.approx(
+        0.5
+    )  # passes explain all of it: as on file
+    assert _learnt(1.0, 2.0, 1.0, 5.0, 100.0, SectionParameters()) == pytest.approx(
+        1.0
+    )  # but it is no more than both differ by
     trust = 100.0 * (3.0 / 6.0) ** 2
-    assert _learnt(4.0, 1.0, np.sqrt(3.0), 1.0, 100.0) == pytest.approx((trust * 3.0 + 6.0) / (trust + 6.0))
+    assert _learnt(4.0, 1.0, np.sqrt(3.0), 1.0, 100.0, SectionParameters()) == pytest.approx(
+        (trust * 3.0 + 6.0) / (trust + 6.0)
+    )
 
 
 @pytest.mark.parametrize(("factor", "excess"), [(0.98, False), (1.02, True)])
 def test_a_local_difference_counts_from_four_stds_on(factor: float, *, excess: bool) -> None:
     length = 4.0
-    chance = 1.0 + LOCAL_STDS * np.sqrt(2.0 * length / LOCAL)
+    chance = 1.0 + SectionParameters().local_stds * np.sqrt(2.0 * length / SectionParameters().local_length)
     rest = np.where((np.arange(600) >= 250) & (np.arange(600) < 350), np.sqrt(factor * chance), 1.0)
-    found = _local_excess(rest, np.ones(600, np.bool_), 1.0, length, 1.0)
+    found = _local_excess(rest, np.ones(600, np.bool_), 1.0, length, 1.0, SectionParameters())
     assert found.any() == excess
     assert not found[:190].any()
 
 
 def test_bands_add_up_and_so_do_their_variances() -> None:
-    kernels = [local_cubic_kernel(edge, 1.0) for edge in EDGES]
+    kernels = [local_cubic_kernel(edge, 1.0) for edge in TRACK.band_edges]
     white = np.random.default_rng(3).standard_normal(40_000)
     bands = _bands_of(white, kernels)
     np.testing.assert_allclose(bands.sum(axis=0), high_pass(white, kernels[0]), atol=1e-12)
@@ -201,8 +208,21 @@ def test_positions_are_shrunk_to_what_was_reported_as_far_as_they_are_not_known(
 def test_the_shipped_figures() -> None:
     from estimation.track import survey_posterior as shipped  # noqa: PLC0415 - its figures
 
-    assert shipped.EDGES == (120.0, 60.0, 30.0, 15.0, 7.5, 4.0)
-    assert (shipped.SHORTEST, shipped.FILED_SAMPLES, shipped.LOCAL, shipped.LOCAL_STDS) == (2.5, 6.0, 100.0, 4.0)
-    assert (shipped.MODEL_SHARE, shipped.NEIGHBOUR, shipped.NEXT) == (2.0, 0.48, 0.06)
-    assert (CORRELATED, REPORTED_STD) == (20.0, 1.0)
-    assert (shipped.STATED, shipped.INDEPENDENT, shipped.MOST_DIFFERENCE_ERROR) == (60.0, 5.0, 0.08)
+    assert TRACK.band_edges == (120.0, 60.0, 30.0, 15.0, 7.5, 4.0)
+    assert (
+        SectionParameters().shortest_wavelength,
+        SectionParameters().filed_samples,
+        SectionParameters().local_length,
+        SectionParameters().local_stds,
+    ) == (2.5, 6.0, 100.0, 4.0)
+    assert (
+        SectionParameters().curve_share_factor,
+        TRACK.neighbour_correlation,
+        TRACK.second_neighbour_correlation,
+    ) == (2.0, 0.48, 0.06)
+    assert (TRACK.correlated_length, TRACK.reported_position_std) == (20.0, 1.0)
+    assert (shipped.STATED, SectionParameters().survey_error_length, SectionParameters().most_difference_error) == (
+        60.0,
+        5.0,
+        0.08,
+    )

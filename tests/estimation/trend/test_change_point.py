@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.trend.change_point import DAY_NS, Series, StepModel, newest_change
+from estimation.trend.change_point import Series, StepModel, newest_change
 from estimation.values.arrays import FloatArray
+from estimation.values.units import DAY_NS
 
 MODEL = StepModel()
 

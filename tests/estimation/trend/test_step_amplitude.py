@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimation.trend.change_point import DAY_NS
-from estimation.trend.trend import newest_step
+from estimation.trend.trend import TrendParameters, newest_step
 from estimation.values.geometry import IntervalConicities, KnownConicity
+from estimation.values.units import DAY_NS
 
 KM = 33_000.0
 
@@ -32,7 +32,7 @@ def life(fall: float, largest_mm: list[float]) -> list[IntervalConicities]:
 
 
 def test_a_step_does_not_wait_until_the_newest_intervals_cover_what_they_did() -> None:
-    found = newest_step(life(0.13, [3.0] * 8 + [2.5, 2.25]))
+    found = newest_step(life(0.13, [3.0] * 8 + [2.5, 2.25]), TrendParameters())
     assert found is not None
     assert found.amplitude == pytest.approx(2.25e-3)
     assert (found.before, found.behind) == (6, 4)
@@ -40,11 +40,11 @@ def test_a_step_does_not_wait_until_the_newest_intervals_cover_what_they_did() -
 
 
 def test_the_largest_amplitude_is_taken_where_all_cover_it_and_none_beyond_the_limits_own() -> None:
-    found = newest_step(life(0.13, [3.5] * 10))
+    found = newest_step(life(0.13, [3.5] * 10), TrendParameters())
     assert found is not None
     assert found.amplitude == pytest.approx(3e-3)
 
 
 def test_nothing_is_found_where_nothing_fell_or_no_amplitude_is_common() -> None:
-    assert newest_step(life(0.0, [3.0] * 8 + [2.5, 2.25])) is None
-    assert newest_step([interval(n, 0.3, 1.5) for n in range(10)]) is None
+    assert newest_step(life(0.0, [3.0] * 8 + [2.5, 2.25]), TrendParameters()) is None
+    assert newest_step([interval(n, 0.3, 1.5) for n in range(10)], TrendParameters()) is None

@@ -12,10 +12,11 @@ from same_values import same_values
 from scipy import stats
 
 from estimation.trend.now import probability_above, probability_within
-from estimation.trend.trend import YEAR_NS, TrendParameters, refresh
+from estimation.trend.trend import TrendParameters, refresh
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.trend import TrendPoint, WearTrend
+from estimation.values.units import YEAR_NS
 
 START_NS = 1_700_000_000_000_000_000
 KM_PER_YEAR = 120_000.0

@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 
 from bench.trend import History, histories
 from estimation.trend import wear_curve
+from estimation.trend.parameters import CURVES
 from estimation.trend.wear_curve import WearCurve, fit_wear_curve
 from estimation.values.mixture import NormalMixture
 from estimation.values.quantities import Estimate
@@ -97,7 +98,7 @@ def test_a_node_equals_generalised_least_squares_with_the_whole_covariance() -> 
     log_likelihood = []
     for tau in (scatter, 1.3):
         K = np.diag(points.variance + tau**2) + bend**2 * np.outer(points.design[:, 2], points.design[:, 2])
-        K += (wear_curve.WANDERING * bend) ** 2 * points.spacing * wandering @ wandering.T
+        K += (CURVES.wandering_share * bend) ** 2 * points.spacing * wandering @ wandering.T
         inverse = np.linalg.inv(K)
         information = line.T @ inverse @ line
         solution = np.linalg.solve(information, line.T @ inverse @ points.z)

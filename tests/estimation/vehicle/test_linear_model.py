@@ -13,7 +13,6 @@ from scipy import integrate
 from estimation.errors import ParameterError
 from estimation.vehicle.linear_model import (
     COORDINATES,
-    HIGHEST_SPEED,
     LinearContact,
     critical_speed,
     klingel_wavelength,
@@ -21,7 +20,8 @@ from estimation.vehicle.linear_model import (
     modes,
     single_wheelset_model,
 )
-from estimation.vehicle.plausibility import UNIT_FACTOR, check_plausible, plausible_ranges
+from estimation.vehicle.parameters import VEHICLE
+from estimation.vehicle.plausibility import check_plausible, plausible_ranges
 from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, VehicleClass, VehicleParameters
 
 FREE = VehicleParameters(
@@ -185,7 +185,7 @@ def test_a_vehicle_hunts_just_above_its_critical_speed_and_not_below() -> None:
     for vehicle in (SINGLE, COACH):
         contact = LinearContact(0.3)
         speed = critical_speed(vehicle, contact)
-        assert 10.0 < speed < HIGHEST_SPEED
+        assert 10.0 < speed < VEHICLE.highest_speed
         assert modes(linear_model(vehicle, speed + 0.2, contact))[0].growth > 0.0
         assert modes(linear_model(vehicle, speed - 0.2, contact))[0].growth < 0.0
 
@@ -207,7 +207,9 @@ def test_a_range_is_narrow_enough_to_find_a_factor_of_1000() -> None:
         check_plausible(vehicle)
         for item in plausible_ranges(vehicle):
             width = item.highest / item.lowest
-            assert width <= (math.sqrt(UNIT_FACTOR) if item.unit == "Hz" else 2 * UNIT_FACTOR), item.name
+            assert width <= (math.sqrt(VEHICLE.unit_factor) if item.unit == "Hz" else 2 * VEHICLE.unit_factor), (
+                item.name
+            )
 
 
 RANGES = {  # as docs/vehicle-class-file.md has them

@@ -18,7 +18,8 @@ from estimation.values.track import AlignmentSource, GaugeShift, TrackAlignment,
 from estimation.values.windows import Motion
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 from estimation.vehicle.vehicle_class import VehicleParameters
-from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
+from ingest.simulator.motion import WheelsetMotion
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 
 ASSUMED = VehicleParameters()
 STIFFER = 1.25  # times as stiff in yaw as assumed
@@ -29,7 +30,7 @@ WHEEL = GaugeShift(np.linspace(-5e-3, 5e-3, 3), np.linspace(-4e-3, 4e-3, 2), np.
 def stiff_run() -> WheelsetMotion:
     """Return a run of a vehicle that is stiffer in yaw than its registry says."""
     truth = replace(ASSUMED, yaw_stiffness=STIFFER * ASSUMED.yaw_stiffness)
-    return simulate_wheelset(truth, SmoothTable(0.12), track(1), np.full(40_000, 20.0), 10.0)
+    return simulate_gear(RunningGear(truth), [SmoothTable(0.12)], track(1), np.full(40_000, 20.0), 10.0)[0]
 
 
 def difference_left(motion: Motion, m: WheelsetMotion) -> float:

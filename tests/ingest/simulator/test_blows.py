@@ -93,4 +93,4 @@ def test_a_flat_of_no_wheelset_or_no_campaign_is_refused(
 
 def test_drawn_fleets_have_flats() -> None:
     path = Path(__file__).parents[3] / "bench" / "vehicle_scenarios" / "flat.toml"
-    assert [flat.wheelset for flat in load_scenario(path).running.flats] == ["W03"]
+    assert [flat.wheelset for flat in load_scenario(path).wheels.flats] == ["W03"]

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from analytic_contact import HALF, RADIUS, cones, smooth_pair
 
-from estimation.vehicle.vehicle_class import GRAVITY, BogieParameters, VehicleParameters
-from ingest.simulator.gear_rates import Wheels
-from ingest.simulator.motion import simulate_wheelset
+from estimation.values.units import GRAVITY
+from estimation.vehicle.vehicle_class import BogieParameters, VehicleParameters
+from ingest.simulator.rates import Wheels
 from ingest.simulator.running import Creep, CreepLaw, share_of_linear
 from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.track import Curves, Surface, TrackRecipe, TrackTruth, make_track
@@ -67,10 +67,10 @@ def test_less_friction_along_the_track_is_the_same_as_a_smaller_coefficient() ->
 
 def test_braking_uses_up_the_friction_that_steers() -> None:
     """With the resultant near full slip the steering forces of the same creep are smaller."""
-    start = np.zeros(16)
+    start = np.zeros(11)
     start[0] = 1e-3
     braked = np.maximum(20.0 - 2.0 * np.arange(3000) * 1e-3, 0.0)  # 2 m/s2 of a friction of 0.3
-    gear = RunningGear(P, creep=JOHNSON, traction=(1.0,), braking=(1.0,))
+    gear = RunningGear(P, creep=JOHNSON, traction=(1.0,))
     alone = RunningGear(P, creep=JOHNSON)
     rates = [simulate_gear(item, [cones(0.2)], level(), braked, 20.0, initial=start)[0].yaw for item in (gear, alone)]
     assert np.abs(rates[0][:1500]).max() < 0.95 * np.abs(rates[1][:1500]).max()
@@ -122,7 +122,7 @@ def test_cross_level_that_is_the_same_everywhere_is_a_cant() -> None:
 
 
 def test_a_wheel_that_is_not_round_turns_once_per_revolution() -> None:
-    gear = RunningGear(P, wheels=Wheels((1e-4, 0.0) * 2, (0.3, 0.0) * 2))
+    gear = RunningGear(P, wheels=(Wheels((1e-4, 0.0), (0.3, 0.0)),))
     (motion,) = simulate_gear(gear, [cones(0.1)], level(), np.full(8000, 20.0), 20.0)
     expected = RADIUS + 0.1 * motion.relative_displacement + 1e-4 * np.sin(motion.distance / RADIUS + 0.3)
     np.testing.assert_allclose(motion.rolling_radius_left, expected, atol=1e-9)
@@ -138,7 +138,9 @@ def test_wheelsets_of_other_radii_roll_on_their_own() -> None:
     track = make_track(TrackRecipe(length=300.0), np.random.SeedSequence(2))
     gear = RunningGear(P, nominal_radii=(RADIUS - 0.03,))
     (one,) = simulate_gear(gear, [smaller], track, np.full(5000, 20.0), 20.0)
-    other = simulate_wheelset(replace(P, nominal_radius=RADIUS - 0.03), smaller, track, np.full(5000, 20.0), 20.0)
+    other = simulate_gear(
+        RunningGear(replace(P, nominal_radius=RADIUS - 0.03)), [smaller], track, np.full(5000, 20.0), 20.0
+    )[0]
     np.testing.assert_allclose(one.yaw, other.yaw, atol=1e-12)
 
 
@@ -147,10 +149,8 @@ def test_a_stiff_bogie_runs_at_60_m_per_second_with_all_of_it() -> None:
     shaken = Surface(1e-3 * np.sin(track.s / 3.0), 1.0 + 0.5 * np.sin(track.s / 9.0), 1.0 + 0.2 * np.cos(track.s))
     stiff = VehicleParameters(yaw_stiffness=62.8e6, lateral_stiffness=9e6, load=110e3)
     coach = replace(BOGIE, secondary_lateral_stiffness=0.3e6, secondary_lateral_damping=60e3, secondary_yaw_damping=1e6)
-    wheels = Wheels((1e-4,) * 4, (1.0, 2.0) * 2)
-    gear = RunningGear(
-        stiff, coach, replace(POLACH, adhesion=1.0, slip=0.4), wheels, traction=(2.0, 0.0), braking=(1.0, 1.0)
-    )
+    wheels = (Wheels((1e-4, 1e-4), (1.0, 2.0)),) * 2
+    gear = RunningGear(stiff, coach, replace(POLACH, adhesion=1.0, slip=0.4), wheels, traction=(2.0, 0.0))
     speed = 60.0 + np.sin(np.arange(12_000) / 4000.0)
     for motion in simulate_gear(gear, [cones(0.05)] * 2, replace(track, surface=shaken), speed, 20.0):
         assert np.abs(motion.relative_displacement).max() < 12e-3

@@ -12,7 +12,8 @@ from analytic_contact import cones
 from estimation.errors import InputError
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.vehicle_class import VehicleParameters
-from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
+from ingest.simulator.motion import WheelsetMotion
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.sensors import ideal_node, measure
 from ingest.simulator.track import Curve, TrackRecipe, TrackTruth, make_track, read_track, write_track
 from ingest.track_file import read_layout_columns
@@ -29,7 +30,9 @@ def track(curve: Curve, alignment_std: float = 0.0) -> TrackTruth:
 
 
 def run(curve: Curve, speed: float = SPEED, conicity: float = 0.2) -> WheelsetMotion:
-    return simulate_wheelset(P, cones(conicity), track(curve), np.full(round(1000 * 1100 / speed), speed), 10.0)
+    return simulate_gear(
+        RunningGear(P), [cones(conicity)], track(curve), np.full(round(1000 * 1100 / speed), speed), 10.0
+    )[0]
 
 
 def middle(motion: WheelsetMotion, values: FloatArray) -> float:
@@ -77,7 +80,7 @@ def test_a_wheelset_that_stops_stands_and_runs_on() -> None:
     t = np.arange(60_000) * 1e-3
     speed = np.interp(t, [0, 20, 30, 50, 60], [10.0, 0.0, 0.0, 10.0, 10.0])
     rough = make_track(TrackRecipe(length=400.0), np.random.SeedSequence(2))
-    motion = simulate_wheelset(P, cones(0.2), rough, speed, 10.0)
+    motion = simulate_gear(RunningGear(P), [cones(0.2)], rough, speed, 10.0)[0]
     standing = (t > 20.1) & (t < 30.0)
     assert np.ptp(motion.lateral_displacement[standing]) == 0.0
     assert not motion.yaw_rate[standing].any()
@@ -93,7 +96,9 @@ def test_a_straight_track_and_a_curve_of_no_curvature_give_the_same_bits() -> No
     flat = Curve(100.0, 500.0, radius=np.inf, cant=0.0, transition=50.0)
     plain = make_track(TrackRecipe(length=1200.0), np.random.SeedSequence(1))
     curved = replace(track(flat, 2e-3), alignment=plain.alignment)
-    first, second = (simulate_wheelset(P, cones(0.2), item, np.full(5000, 20.0), 10.0) for item in (plain, curved))
+    first, second = (
+        simulate_gear(RunningGear(P), [cones(0.2)], item, np.full(5000, 20.0), 10.0)[0] for item in (plain, curved)
+    )
     np.testing.assert_array_equal(first.lateral_acceleration, second.lateral_acceleration)
 
 

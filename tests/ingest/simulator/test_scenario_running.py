@@ -13,7 +13,7 @@ from bench.wheelset_motion import wheelset_motion
 from estimation.errors import ScenarioError
 from ingest.simulator.axle_motion import averaged, axle_motions, contact_of, running_gear
 from ingest.simulator.campaign import friction_along, scenario_track, vehicle_run, with_stretches
-from ingest.simulator.running import STRETCH_END, CreepLaw, FrictionPlan, FrictionStretch, RunningPlan
+from ingest.simulator.running import STRETCH_END, CreepLaw, CreepPlan, FrictionStretch, WheelsPlan
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import read_scenario
 
@@ -59,13 +59,12 @@ def test_every_key_gets_into_the_running_gear_and_the_track(tmp_path: Path) -> N
     gears = [running_gear(scenario, vehicle_run(scenario, track, vehicle, campaign), (1,)) for campaign in (0, 1)]
     assert gears[0].creep.law is CreepLaw.VERMEULEN_JOHNSON
     assert gears[0].creep.friction != gears[1].creep.friction
-    assert gears[0].wheels.amplitude == (1e-4,) * 4
-    assert gears[0].wheels.phase[0] != gears[0].wheels.phase[1]
-    assert (gears[0].traction, gears[0].braking) == ((3.0,), (1.0,))
+    assert gears[0].wheels[0].amplitude == (1e-4, 1e-4)
+    assert gears[0].wheels[0].phase[0] != gears[0].wheels[0].phase[1]
+    assert gears[0].traction == (3.0,)
     run = vehicle_run(scenario, track, vehicle, 0)
     motion = wheelset_motion(scenario, track, run, 0)
-    assert motion.mass_roll is not None
-    line = replace(scenario, running=replace(scenario.running, traction=False))
+    line = replace(scenario, traction=None)
     assert not np.array_equal(wheelset_motion(line, track, run, 0).yaw, motion.yaw)
 
 
@@ -73,9 +72,8 @@ def test_what_is_not_drawn_leaves_track_and_motion_as_they_are(tmp_path: Path) -
     scenario = scenario_of(tmp_path, SMALL)
     track = scenario_track(scenario)
     assert track.surface is None
-    assert scenario.running == RunningPlan()
-    assert scenario.running.contact_step == pytest.approx(0.05e-3)
-    assert scenario.running.plain
+    assert (scenario.creep, scenario.wheels, scenario.traction) == (CreepPlan(), WheelsPlan(), None)
+    assert scenario.wheels.contact_step == pytest.approx(0.05e-3)
 
 
 @pytest.mark.parametrize(
@@ -99,7 +97,9 @@ def test_impossible_running_is_refused(tmp_path: Path, old: str, new: str, reaso
 
 
 def test_friction_is_spread_evenly_between_its_limits_and_changes_over_its_correlation_length() -> None:
-    mu = friction_along(FrictionPlan(0.2, 0.4, 10.0), 200_000, 0.25, np.random.default_rng(1))
+    mu = friction_along(
+        CreepPlan(lowest_friction=0.2, highest_friction=0.4, correlation=10.0), 200_000, 0.25, np.random.default_rng(1)
+    )
     counts, _ = np.histogram(mu, bins=4, range=(0.2, 0.4))
     np.testing.assert_allclose(counts / len(mu), 0.25, atol=0.03)
     assert np.corrcoef(mu[:-4], mu[4:])[0, 1] > 0.99  # 1 m
@@ -112,7 +112,7 @@ def test_a_stretch_has_its_friction_from_its_campaign_on_and_nothing_else_change
     (tmp_path / "without").mkdir()
     without = scenario_of(tmp_path / "without", text)
     scenario = scenario_of(tmp_path, text.replace("[wheels]", STRETCH))
-    track, vehicle, plan = scenario_track(scenario), scenario.vehicles[0], scenario.running
+    track, vehicle, plan = scenario_track(scenario), scenario.vehicles[0], scenario.creep
     assert plan.stretches == (FrictionStretch(250.0, 400.0, 0.05, 2),)
     runs = [vehicle_run(scenario, track, vehicle, campaign) for campaign in (0, 1)]
     means = [running_gear(scenario, run, (0,)).creep.friction for run in runs]

@@ -13,10 +13,11 @@ from scipy.signal import welch
 
 from estimation.errors import ScenarioError
 from estimation.values.arrays import FloatArray
+from estimation.values.units import GRAVITY
 from estimation.values.windows import ACCELERATIONS
-from estimation.vehicle.vehicle_class import GRAVITY, VehicleParameters
 from ingest.simulator.campaign import odometer_scale, vehicle_run
-from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
+from ingest.simulator.motion import STEP, WheelsetMotion
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import read_scenario
 from ingest.simulator.sensor_errors import (
@@ -40,7 +41,7 @@ PERFECT = NodeErrors(np.ones(4), np.zeros(3), np.zeros(3), 0.0, NONE, NONE, None
 def motion() -> WheelsetMotion:
     track = make_track(TrackRecipe(length=300.0), np.random.SeedSequence(3))
     speed = np.linspace(18.0, 22.0, 10_000)  # 0.4 m/s2
-    return simulate_wheelset(VehicleParameters(), smooth_pair(), track, speed, 20.0)
+    return simulate_gear(RunningGear(), [smooth_pair()], track, speed, 20.0)[0]
 
 
 def measured(motion: WheelsetMotion, errors: NodeErrors, node: SensorNode | None = None) -> FloatArray:
@@ -122,7 +123,7 @@ def test_a_late_node_sees_a_tone_later() -> None:
     t = STEP * np.arange(4000)
     tone = np.sin(2.0 * np.pi * 5.0 * t)[None, :]
     for skew in (2e-3, 1.3e-3, -2.4e-3):
-        seen = sampled_late(tone, skew, STEP)[0]
+        seen = sampled_late(tone, skew)[0]
         inner = slice(10, -10)
         np.testing.assert_allclose(seen[inner], np.sin(2.0 * np.pi * 5.0 * (t + skew))[inner], atol=2e-4)
 
@@ -143,7 +144,7 @@ def test_an_offset_grows_with_time(motion: WheelsetMotion) -> None:
 
 def test_vibration_has_its_root_mean_square_and_its_band() -> None:
     vibration = Vibration(10.0, 4.0, 0.1, 20.0, 400.0)
-    values = vibration_of(vibration, 300_000, STEP, np.random.default_rng(3))
+    values = vibration_of(vibration, 300_000, np.random.default_rng(3))
     np.testing.assert_allclose(values[:, 1000:].std(axis=1), [10.0, 4.0, 4.0, 1.0], rtol=0.02)
     frequency, power = welch(values[0], 1000.0, nperseg=2000)
     assert power[frequency < 8.0].max() < 1e-3 * power[(frequency > 40.0) & (frequency < 300.0)].mean()

@@ -12,8 +12,8 @@ from scipy.signal import welch
 
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import ACCELERATIONS
-from estimation.vehicle.vehicle_class import VehicleParameters
-from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
+from ingest.simulator.motion import STEP, WheelsetMotion
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.sensors import VELOCITIES, Channel, SensorNode, draw_offsets, ideal_node, measure
 from ingest.simulator.track import TrackRecipe, make_track
 
@@ -24,7 +24,7 @@ NONE = np.zeros(4)
 @pytest.fixture(scope="module")
 def motion() -> WheelsetMotion:
     track = make_track(TrackRecipe(length=300.0), np.random.SeedSequence(3))
-    return simulate_wheelset(VehicleParameters(), smooth_pair(), track, np.full(10_000, 20.0), 20.0)
+    return simulate_gear(RunningGear(), [smooth_pair()], track, np.full(10_000, 20.0), 20.0)[0]
 
 
 def with_signal(motion: WheelsetMotion, values: FloatArray) -> WheelsetMotion:
@@ -32,11 +32,7 @@ def with_signal(motion: WheelsetMotion, values: FloatArray) -> WheelsetMotion:
     n = len(values)
     t = STEP * np.arange(n, dtype=np.float64)
     velocity = CubicSpline(t, values).antiderivative()(t)
-    names = [
-        name
-        for name in WheelsetMotion.__slots__
-        if name not in {"outside", "path_accelerations", "frame_yaw", "mass_roll"}
-    ]
+    names = [name for name in WheelsetMotion.__slots__ if name not in {"outside", "path_accelerations", "frame_yaw"}]
     blank: dict[str, FloatArray] = dict.fromkeys(names, np.zeros(n))
     blank |= {name: factor * values for factor, name in enumerate(ACCELERATIONS, start=1)}
     blank |= {name: factor * velocity for factor, name in enumerate(VELOCITIES, start=1)}

@@ -60,9 +60,10 @@ def test_wear_of_rails_is_checked(tmp_path: Path) -> None:
 def test_rails_wear_with_the_traffic_since_the_first_campaign(tmp_path: Path) -> None:
     growing = scenario_of(tmp_path, WORN + "growth_mm_per_100_mgt = 1.5\n", tonnage=40.0)
     odometers = [growing.odometer(campaign) for campaign in (0, 1)]  # 100 days apart
-    depths = [[wear.depth for wear in section_at(growing, at).rail_wear if wear] for at in odometers]
+    worn = [section_at(growing, at).rail_wear for at in odometers]
+    depths = [wear.depths for wear in worn if wear is not None]
     gained = 1.5e-3 * 0.4 * 100.0 / 365.25
-    assert depths == [pytest.approx([0.6e-3, 0.2e-3]), pytest.approx([0.6e-3 + gained, 0.2e-3 + gained])]
+    assert depths == [pytest.approx((0.6e-3, 0.2e-3)), pytest.approx((0.6e-3 + gained, 0.2e-3 + gained))]
     plan, track = growing.vehicles[0].wheelsets[1], scenario_track(growing)
     tables = [contact_of(growing, track, plan, at).wheelset for at in odometers]
     lost = [float(table.left_rail.height(np.array([1e-3]))[0]) for table in tables]
@@ -90,4 +91,4 @@ def test_wear_that_grows_is_checked(tmp_path: Path) -> None:
 
 def test_without_the_table_rails_are_new(tmp_path: Path) -> None:
     section = scenario_of(tmp_path).section
-    assert section.rail_wear == (None, None)
+    assert section.rail_wear is None

@@ -1,0 +1,60 @@
+"""Numbers of trends beside those of their settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class CurveParameters:
+    """Numbers of trends beside those of their settings."""
+
+    # extrapolation
+    limit_amplitude: float = 3e-3  # m, of every conicity limit (EN 15302, TSI)
+    same_amplitude: float = 1e-6  # m
+    least_amplitude: float = 1.5e-3  # m, that is extrapolated; from less, intervals of known pairs do not cover
+    shape_distances: tuple[float, float, float] = (0.25e-3, 0.5e-3, 1.0e-3)  # m, below the largest amplitude covered
+    alike_share: float = 0.06  # relative difference of conicities that are alike
+    least_alike_difference: float = 0.012  # and the least difference that counts
+    slope_alike_share: float = 0.7  # of that, for the difference between two amplitudes
+    widening_factors: tuple[float, ...] = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # times that, until enough members are alike
+    shared_error_share: float = 0.5  # part of the errors that all amplitudes have in common
+    near_amplitude: float = 0.5e-3  # m, within which the rest of them is alike
+    ridge_weight: float = 2.0  # members' weight with which the fit is held flat
+    least_members: float = 25.0  # weight of members that are like the wheelset
+    negligible_weight: float = 1e-6  # of a member that does not count, which most are
+    uncovered_step: float = 0.25e-3  # m, to the amplitude that is not covered
+    flat_conicity: float = 0.02  # conicity below which nothing holds a wheelset
+    stop_weights: tuple[float, float] = (0.3, 2.0)  # by where the motion ends, of a conicity that stays
+    largest_conicity_std: float = 0.15  # of an extrapolated conicity
+    smoothing_share: float = 0.2  # std about each of them, in that of all
+    covering_share: float = 0.75  # of the latest intervals that must cover an amplitude
+    covering_intervals: int = 8  # an amplitude that a little worn wheelset did not reach long ago may be covered
+    stored_unit: float = 1e-4  # of a stored conicity
+    table_amplitudes: tuple[float, ...] = tuple(0.25e-3 * step for step in range(2, 13))  # m, of worn wheels
+    spread_values: int = 40  # that show how the changes of members are spread
+    # wear curve
+    most_knots: int = 8
+    most_paired_points: int = 500  # points up to which all pairs enter the pilot slope
+    outlier_share: float = 0.05
+    outlier_stds: float = 10.0
+    points_for_outliers: int = 5  # with fewer, an outlier cannot be identified
+    scatter_nodes: int = 12
+    scatter_scale: float = 1.0  # half-Cauchy scale of tau, in median standard deviations
+    wandering_share: float = 0.3  # of the bend's standard deviation
+    least_std_share: float = 1e-3  # of the median std: a better point cannot make the others count for nothing
+    diagonal_jitter: float = 1e-13  # on a unit diagonal: of the order of the rounding of the sums
+    fit_rounds: int = 25
+    probability_margin: float = 1e-9  # far more than rounding: what comes as near is computed again by itself
+    share_tolerance: float = 1e-7  # far below what a result shows
+    horizon_points: int = 240  # at which a limit may have been reached
+    bend_nodes: tuple[float, ...] = (0.01, 0.15, 0.4, 1.0)  # change of slope over the observed span, in slopes
+    bend_prior: tuple[float, ...] = (0.4, 0.2, 0.2, 0.2)
+    # change point
+    noise_shares: tuple[float, float] = (0.02, 3.0)  # of the stated stds, that are tried
+    noise_points: int = 9
+    # trend
+    points_ahead: int = 61  # distances to the horizon at which the probability is kept
+
+
+CURVES = CurveParameters()
