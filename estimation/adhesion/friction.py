@@ -95,10 +95,10 @@ def pooled_friction(
     left_out: list[LeftOut] = []
     while (sums := pass_sums(_staying(passes, left_out))) is not None:
         found = _solved(sums, parameters)
-        other = contradicting(sums, found, parameters.file, parameters)
-        if other is None:
+        others = contradicting(sums, found, parameters.file, parameters)
+        if not others:
             return _places(sums, found, parameters), tuple(left_out)
-        left_out.append(other)
+        left_out.extend(others)
     return (), tuple(left_out)
 
 

@@ -173,40 +173,43 @@ def _least(misfits: FloatArray) -> FloatArray:
     return np.asarray(np.where(inside, SCALES[at] + moved * step, SCALES[least]))
 
 
-def contradicting(sums: PassSums, agreed: Agreed, file: FileErrors, parameters: FrictionParameters) -> LeftOut | None:
-    """Return the vehicle that differs most from the others by more than is stated; if none, such a wheelset; else None.
+def contradicting(
+    sums: PassSums, agreed: Agreed, file: FileErrors, parameters: FrictionParameters
+) -> Sequence[LeftOut]:
+    """Return the vehicle that differs most from the others by more than is stated; if none, such wheelsets.
 
-    One at a time: what all passes agree on has part of its error, until it is left out.
+    One vehicle at a time, and one wheelset of each vehicle: what it is held against has part of its error, until it is
+    left out.
     """
     by_vehicle, by_wheelset = (scales(sums, group, agreed) for group in (sums.vehicle, sums.wheelset))
     vehicle_of = np.zeros(len(by_wheelset.logarithm), np.int64)
     vehicle_of[sums.wheelset] = sums.vehicle
     known = by_vehicle.known
     if known.sum() < parameters.fewest_with_scale:
-        return None
+        return ()
     usual = np.full(len(known), np.median(by_vehicle.logarithm[known]))
     own = by_vehicle.logarithm[vehicle_of]
     scatter = parameters.wheelset_scatter / np.sqrt(np.bincount(vehicle_of))
     stated = np.hypot(np.hypot(file.spring, file.load), scatter)
-    vehicle = _most_deviating(by_vehicle, usual, stated, known, parameters)
-    if vehicle is not None:
+    deviation = _deviation(by_vehicle, usual, stated, known)
+    vehicle = int(np.argmax(deviation))
+    if deviation[vehicle] > parameters.most_deviation_stds:
         factor = float(np.exp(by_vehicle.logarithm[vehicle] - usual[vehicle]))
-        return _left_out(sums.vehicles[vehicle], None, factor, "the other vehicles")
+        return (_left_out(sums.vehicles[vehicle], None, factor, "the other vehicles"),)
     of_wheelset = np.full(len(own), np.hypot(parameters.wheelset_scatter, file.spring))
-    wheelset = _most_deviating(by_wheelset, own, of_wheelset, by_wheelset.known & known[vehicle_of], parameters)
-    if wheelset is None:
-        return None
-    factor = float(np.exp(by_wheelset.logarithm[wheelset] - own[wheelset]))
-    return _left_out(sums.vehicles[vehicle_of[wheelset]], sums.wheelsets[wheelset], factor, "the rest of its vehicle")
+    deviation = _deviation(by_wheelset, own, of_wheelset, by_wheelset.known & known[vehicle_of])
+    order = np.lexsort((-deviation, vehicle_of))
+    worst = order[np.unique(vehicle_of[order], return_index=True)[1]]
+    factors = np.exp(by_wheelset.logarithm - own)
+    return tuple(
+        _left_out(sums.vehicles[vehicle_of[w]], sums.wheelsets[w], float(factors[w]), "the rest of its vehicle")
+        for w in worst[deviation[worst] > parameters.most_deviation_stds]
+    )
 
 
-def _most_deviating(
-    found: Scales, usual: FloatArray, stated: FloatArray, known: BoolArray, parameters: FrictionParameters
-) -> int | None:
-    """Return the known group that deviates most from ``usual``, in stds of noise and ``stated``; None for no such."""
-    deviation = np.where(known, np.abs(found.logarithm - usual) / np.hypot(found.std_from(usual), stated), 0.0)
-    worst = int(np.argmax(deviation))
-    return worst if deviation[worst] > parameters.most_deviation_stds else None
+def _deviation(found: Scales, usual: FloatArray, stated: FloatArray, known: BoolArray) -> FloatArray:
+    """Return by how many stds of noise and ``stated`` known groups deviate from ``usual``; 0 for the others."""
+    return np.where(known, np.abs(found.logarithm - usual) / np.hypot(found.std_from(usual), stated), 0.0)
 
 
 def _left_out(vehicle: str, wheelset: str | None, factor: float, others: str) -> LeftOut:

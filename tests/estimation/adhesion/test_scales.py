@@ -72,6 +72,17 @@ def test_one_wheelset_that_contradicts_its_vehicle_is_left_out_alone() -> None:
     assert not pooled_friction(passes_of(4, 1, 1.2), KNOWN)[1]
 
 
+def test_one_wheelset_of_each_vehicle_is_left_out_at_a_time() -> None:
+    passes = [a_pass(number, TRUE, factor=2.2 if number % 4 == 1 else 1.0) for number in range(24)]
+    sums = pass_sums(passes)
+    assert sums is not None
+    agreed = Agreed(1.0 / np.array(TRUE), np.zeros(24), 9e-9, KNOWN.creep_error_std)
+    wrong = [(f"V{vehicle}", f"W{4 * vehicle + 1}") for vehicle in range(6)]
+    found = contradicting(sums, agreed, KNOWN.file, KNOWN)
+    assert sorted((one.vehicle, str(one.wheelset)) for one in found) == wrong
+    assert sorted((one.vehicle, str(one.wheelset)) for one in pooled_friction(passes, KNOWN)[1]) == wrong
+
+
 def test_wheelsets_are_compared_when_wrong_vehicles_are_gone() -> None:
     passes = passes_of(5, 4, 0.3)
     passes[-1] = a_pass(19, TRUE, factor=2.2)
@@ -97,4 +108,4 @@ def test_passes_that_show_no_friction_contradict_nobody() -> None:
     sums = pass_sums(passes)
     assert sums is not None
     agreed = Agreed(np.full(8, 2.5), np.zeros(12), 9e-9, KNOWN.creep_error_std)
-    assert contradicting(sums, agreed, WEIGHED.file, FrictionParameters()) is None
+    assert not contradicting(sums, agreed, WEIGHED.file, FrictionParameters())
