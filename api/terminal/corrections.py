@@ -58,10 +58,12 @@ def retry_and_report(kind: SubjectKind | None, key: str | None) -> None:
     logs.configure(settings)
     with closing(open_store(settings)) as storage:
         with storage.write() as unit:
-            found = unit.quarantine.retry(kind, key)
-        own = [item.key for item in found if item.kind is SubjectKind.RECORDING and item.stage == STAGE]
-        failed = _decode(receiver_of(settings, storage, clock), own)
-    typer.echo(f"{len(own)} recordings tried now, {len(found) - len(own)} others at the next run of their job")
+            items = unit.quarantine.retry(kind, key)
+        recordings = [item.key for item in items if item.kind is SubjectKind.RECORDING and item.stage == STAGE]
+        failed = _decode(receiver_of(settings, storage, clock), recordings)
+    typer.echo(
+        f"{len(recordings)} recordings tried now, {len(items) - len(recordings)} others at the next run of their job"
+    )
     _report(failed)
 
 
