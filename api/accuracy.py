@@ -13,7 +13,6 @@ from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair
 from estimation.errors import DamagedError
 from estimation.jobs.steps.measured_wheelsets import ComparisonReader
 from estimation.values.reasons import Reason
-from estimation.values.registry import Mounting
 from estimation.values.runs import code_of_error, first_line
 from fleet_db.storage import SqlUnitOfWork
 
@@ -35,36 +34,31 @@ def placed_comparisons(unit: SqlUnitOfWork, reader: ComparisonReader, keys: Sequ
     for serial, at_ns in keys:
         times[serial].add(at_ns)
     classes: dict[str, str] = {}
-    found: dict[tuple[str, int], PlacedComparison] = {}
+    rows: dict[tuple[str, int], PlacedComparison] = {}
     unreadable: dict[str, Reason] = {}
     for serial, wanted in times.items():
         try:
-            found |= {(serial, at_ns): row for at_ns, row in _of_wheelset(unit, reader, serial, wanted, classes)}
+            rows |= {(serial, at_ns): row for at_ns, row in _of_wheelset(unit, reader, serial, wanted, classes)}
         except DamagedError as error:
             unreadable[serial] = Reason(code_of_error(error), first_line(error))
-    return Placed([found[key] for key in keys if key in found], unreadable)
+    return Placed([rows[key] for key in keys if key in rows], unreadable)
 
 
 def _of_wheelset(
     unit: SqlUnitOfWork, reader: ComparisonReader, serial: str, wanted: set[int], classes: dict[str, str]
 ) -> Iterator[tuple[int, PlacedComparison]]:
-    measurements = [one for one in unit.registry.measured_profiles(serial) if one.at_ns in wanted]
+    measurements = [measured for measured in unit.registry.measured_profiles(serial) if measured.at_ns in wanted]
     mountings = unit.registry.mountings(serial)
     for comparison in reader.of_wheelset(unit.registry.wheelset(serial), measurements):
         record = comparison.estimate.record
         at_ns = comparison.measurement.at_ns
         sections = () if record is None else tuple(sorted(record.track_versions))
-        vehicle = _vehicle_at(mountings, at_ns)
+        before = [mounting for mounting in mountings if mounting.from_ns <= at_ns]  # or was last: in the depot too
+        vehicle = max(before, key=lambda mounting: mounting.from_ns).vehicle if before else None
         if vehicle is not None and vehicle not in classes:
             classes[vehicle] = unit.registry.vehicle(vehicle).vehicle_class
         of_class = None if vehicle is None else classes[vehicle]
         yield at_ns, PlacedComparison(comparison, of_class, sections)
-
-
-def _vehicle_at(mountings: Sequence[Mounting], at_ns: int) -> str | None:
-    """Return the vehicle that a wheelset was mounted on, or had been last: profiles are measured in the depot too."""
-    before = [one for one in mountings if one.from_ns <= at_ns]
-    return max(before, key=lambda one: one.from_ns).vehicle if before else None
 
 
 MOST_KEPT = 2048  # each takes some 8 kB
@@ -84,12 +78,12 @@ class ContactCache:
             if key in self._kept:
                 self._kept.move_to_end(key)
                 return self._kept[key]
-        found = wheel_contact(wheels, rails)
+        contact = wheel_contact(wheels, rails)
         with self._lock:
-            self._kept[key] = found
+            self._kept[key] = contact
             while len(self._kept) > MOST_KEPT:
                 self._kept.popitem(last=False)
-        return found
+        return contact
 
 
 def _digest(wheels: WheelPair, rails: Sequence[RailShare]) -> str:

@@ -87,9 +87,9 @@ def _cells(annotation: Any, path: tuple[str, ...], fields: tuple[str, ...]) -> I
     elif isinstance(kind, type) and issubclass(kind, _PLAIN):
         yield Column(name, fields)
     elif kind in {list, tuple} and all(
-        isinstance(_known(one)[0], type) and issubclass(_known(one)[0], _PLAIN)
-        for one in arguments
-        if one is not Ellipsis
+        isinstance(_known(argument)[0], type) and issubclass(_known(argument)[0], _PLAIN)
+        for argument in arguments
+        if argument is not Ellipsis
     ):
         yield Column(name, fields, lambda values: "; ".join(map(str, values)))
     else:
@@ -102,7 +102,7 @@ def _known(annotation: Any) -> tuple[Any, tuple[Any, ...]]:  # noqa: ANN401 - an
     if origin is Annotated:
         return _known(arguments[0])
     if origin in {Union, UnionType}:
-        present = [one for one in arguments if one is not NoneType]
+        present = [argument for argument in arguments if argument is not NoneType]
         return _known(present[0]) if len(present) == 1 else (None, ())
     return (annotation, ()) if origin is None else (origin, arguments)
 
@@ -264,17 +264,17 @@ class RepresentationCache:
     ) -> Mapping[int, bytes]:
         """Return what is kept of several under one name each, and make and keep what is missing, all at once."""
         with self._lock:
-            found = {number: self._held[key] for number, key in keys.items() if key in self._held}
-            for number in found:
+            kept = {number: self._held[key] for number, key in keys.items() if key in self._held}
+            for number in kept:
                 self._held.move_to_end(keys[number])
-        missing = [number for number in keys if number not in found]
+        missing = [number for number in keys if number not in kept]
         if missing:
             made = make(missing)
             with self._lock:
                 for number, representation in made.items():
                     self._keep(keys[number], representation)
-            found |= made
-        return found
+            kept |= made
+        return kept
 
     def _keep(self, key: Hashable, made: bytes) -> None:
         if key in self._held or len(made) > self.limit_bytes:

@@ -26,12 +26,10 @@ from api.measures import Measured, reference_measures
 from api.metrics import RequestMeasures, stored_measures, upload_measures
 from api.middleware import HeadMiddleware, RequestContextMiddleware
 from api.openapi.document import document, scopes_of
-from api.page import routes
 from api.page import routes as page
 from api.routes import (
     access,
     accuracy,
-    alert_feed,
     alerts,
     chunks,
     dated_records,
@@ -40,7 +38,6 @@ from api.routes import (
     health,
     jobs,
     opinions,
-    plans,
     recordings,
     registry_assets,
     registry_decisions,
@@ -59,7 +56,7 @@ RESOURCES = (
     vehicles.fleets_router,
     vehicles.router,
     worklist.router,
-    plans.router,
+    worklist.plans_router,
     dated_records.router,
     dated_records.vehicles_router,
     registry_assets.router,
@@ -68,7 +65,7 @@ RESOURCES = (
     opinions.router,
     design_contact.router,
     accuracy.router,
-    alert_feed.router,  # before the alerts, whose path it would be taken for
+    alerts.feed_router,  # before the alerts, whose path it would be taken for
     alerts.router,
     alerts.actions_router,
     jobs.router,
@@ -93,6 +90,9 @@ def describe() -> FastAPI:
     def name_operation(route: APIRoute) -> str:
         return route.name
 
+    def waits_for_news(scope: MutableMapping[str, Any]) -> bool:  # a trace of such a request would say nothing
+        return bool(scope.get("path", "").endswith("/feed/stream") or b"wait_s=" in scope.get("query_string", b""))
+
     app = FastAPI(
         title="treadwatch",
         version=version("treadwatch"),
@@ -101,7 +101,7 @@ def describe() -> FastAPI:
         openapi_url=None,
         generate_unique_id_function=name_operation,
         lifespan=_lifespan,
-        telemetry={"operation_spans": False, "exclude": _waits_for_news},
+        telemetry={"operation_spans": False, "exclude": waits_for_news},
     )
     for router in RESOURCES:
         app.include_router(
@@ -110,25 +110,15 @@ def describe() -> FastAPI:
             responses=problems.described(401, 403, 406, 422, 429, 500, 503),
         )
     app.include_router(health.router)
-    app.include_router(routes.router)
     app.include_router(page.router)
     problems.install(app)
     return app
 
 
-def _waits_for_news(scope: MutableMapping[str, Any]) -> bool:
-    """Return whether a request lasts for as long as nothing happens: a trace of it would say nothing."""
-    return bool(scope.get("path", "").endswith("/feed/stream") or b"wait_s=" in scope.get("query_string", b""))
-
-
 def document_text() -> str:
     """Return the OpenAPI document as it is to be committed."""
-    return (
-        orjson.dumps(
-            document(describe(), scopes_of(RESOURCES)), option=orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS
-        ).decode()
-        + "\n"
-    )
+    described = document(describe(), scopes_of(RESOURCES))
+    return orjson.dumps(described, option=orjson.OPT_INDENT_2 | orjson.OPT_SORT_KEYS).decode() + "\n"
 
 
 def committed_document() -> bytes:

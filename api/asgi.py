@@ -31,6 +31,6 @@ def app() -> FastAPI:
     settings = load_settings()
     logs.configure(settings)
     start_tracing()
-    found = create_app(settings)
+    app = create_app(settings)
     keep_what_is_loaded()
-    return found
+    return app

@@ -171,21 +171,21 @@ class AskedList(Asked):
     def numbered(
         self,
         filters: Filters,
-        found: Iterable[RecordT],
+        records: Iterable[RecordT],
         key: Callable[[RecordT], int],
         represent: Callable[[RecordT], BaseModel],
     ) -> Response:
         """Return a page of all records, in the order of a number."""
         after = self.after_number(filters)
-        rows = [record for record in sorted(found, key=key) if after is None or key(record) > after]
+        rows = [record for record in sorted(records, key=key) if after is None or key(record) > after]
         return self.page(filters, rows[: self.limit + 1], key, represent)
 
     def named(
-        self, found: Iterable[RecordT], key: Callable[[RecordT], str], represent: Callable[[RecordT], BaseModel]
+        self, records: Iterable[RecordT], key: Callable[[RecordT], str], represent: Callable[[RecordT], BaseModel]
     ) -> Response:
         """Return a page of all records, in the order of their names."""
         after = self.after_text({})
-        rows = [record for record in sorted(found, key=key) if after is None or key(record) > after]
+        rows = [record for record in sorted(records, key=key) if after is None or key(record) > after]
         return self.page({}, rows[: self.limit + 1], key, represent)
 
 
@@ -237,10 +237,10 @@ class AskedChange(Asked):
         return key, hashlib.sha256(orjson.dumps(asked)).hexdigest()
 
     def _earlier(self, unit: SqlUnitOfWork, key: str | None, digest: str) -> Response | None:
-        known = None if key is None else unit.idempotency.get(key)
-        if known is None:
+        stored = None if key is None else unit.idempotency.get(key)
+        if stored is None:
             return None
-        earlier, status, body = known
+        earlier, status, body = stored
         if earlier != digest:
             detail = "this Idempotency-Key was used for another request; use a new one"
             raise ProblemError(422, "idempotency-key-reused", detail)

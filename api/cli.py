@@ -37,7 +37,7 @@ class Command:
     module: str
     summary: str
     reads_settings: bool = True
-    short: tuple[str, ...] = ()  # commands of it that take a second, of which the search for garbage is a fifth
+    without_gc: tuple[str, ...] = ()  # commands of it that take a second, of which the search for garbage is a fifth
 
 
 COMMANDS = (
@@ -45,16 +45,16 @@ COMMANDS = (
     Command("simulate", "studies", "Simulate a fleet that sends CAN frames.", reads_settings=False),
     Command("ingest", "receiving", "Receive CAN frames from log files or a live bus."),
     Command(
-        "registry", "registry", "Load, void, restore and list records of the registry.", short=("check", "history")
+        "registry", "registry", "Load, void, restore and list records of the registry.", without_gc=("check", "history")
     ),
     Command("reassemble", "receiving", "Make the windows of a vehicle again."),
-    Command("recordings", "receiving", "List and correct what was received.", short=("list", "show")),
+    Command("recordings", "receiving", "List and correct what was received.", without_gc=("list", "show")),
     Command("chunk", "receiving", "Watch a drop folder, decode what is received, scrub raw files."),
     Command("quarantine", "receiving", "List and retry what failed by itself."),
     Command("estimate", "deployment", "Run the scheduled jobs once, now, in order."),
     Command("serve", "deployment", "Serve the REST API."),
-    Command("keys", "clients", "Make, list and revoke keys of the REST API.", short=("create", "list", "revoke")),
-    Command("webhooks", "clients", "Make, list, try out and move webhooks.", short=("list",)),
+    Command("keys", "clients", "Make, list and revoke keys of the REST API.", without_gc=("create", "list", "revoke")),
+    Command("webhooks", "clients", "Make, list, try out and move webhooks.", without_gc=("list",)),
     Command("schedule", "deployment", "Run the jobs on schedule; one per deployment."),
     Command("worker", "deployment", "Work for a Dask scheduler, on any machine."),
     Command("feed", "clients", "Print what happens to alerts, or follow it.", reads_settings=False),
@@ -121,11 +121,6 @@ def build(arguments: Sequence[str]) -> typer.Typer:
     return app
 
 
-def _being_completed() -> list[str]:
-    """Return the words behind the command's name that a shell asks to complete; none where it does not."""
-    return next((os.environ[name].split()[1:] for name in COMPLETED if name in os.environ), [])
-
-
 DIRECTORY, CPU = "TREADWATCH_COMPILED_DIR", "TREADWATCH_COMPILED_CPU"
 PORTABLE = "portable"
 GENERIC = ("generic", "")
@@ -160,8 +155,8 @@ def _of_file(path: Path) -> dict[str, str]:
         return {}
     from dotenv import dotenv_values  # noqa: PLC0415 - most starts have no such file
 
-    found = dotenv_values(path, interpolate=False)
-    return {name: value for name in (DIRECTORY, CPU) if (value := found.get(name))}
+    settings = dotenv_values(path, interpolate=False)
+    return {name: value for name in (DIRECTORY, CPU) if (value := settings.get(name))}
 
 
 def main() -> None:
@@ -173,11 +168,12 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     choose_compiled_code(os.environ)
     arguments = sys.argv[1:]
+    completed = next((os.environ[name].split()[1:] for name in COMPLETED if name in os.environ), [])
     command = _chosen(arguments)
-    if command is not None and not set(command.short).isdisjoint(arguments[1:2]):
+    if command is not None and not set(command.without_gc).isdisjoint(arguments[1:2]):
         gc.disable()
     try:
-        build(arguments or _being_completed())(arguments, prog_name="treadwatch")
+        build(arguments or completed)(arguments, prog_name="treadwatch")
     except TreadwatchError as error:
         print(f"treadwatch: {error}", file=sys.stderr)  # noqa: T201 - the command line's own output
         raise SystemExit(REFUSED) from None

@@ -47,7 +47,9 @@ def _contract_of(operation: Mapping[str, Any]) -> OperationContract:
     offered = [media_type for response in succeeded for media_type in response.get("content", {})]
     asked = {entry["name"]: entry["schema"] for entry in operation.get("parameters", ()) if entry["in"] == "query"}
     lists = [
-        name for name, of in asked.items() if any(one.get("type") == "array" for one in (of, *of.get("anyOf", ())))
+        name
+        for name, schema in asked.items()
+        if any(part.get("type") == "array" for part in (schema, *schema.get("anyOf", ())))
     ]
     return OperationContract(
         tuple(media_type for media_type in offered if media_type != PROBLEM_MEDIA_TYPE),
@@ -58,17 +60,17 @@ def _contract_of(operation: Mapping[str, Any]) -> OperationContract:
 
 
 def _refuse_unknown_parameters(request: Request, contract: OperationContract) -> None:
-    known = contract.query_parameters
+    parameters = contract.query_parameters
     names = [name for name, _ in request.query_params.multi_items()]
     items = [
         ProblemItem(part="query", pointer=pointer([name]), detail="there is no such parameter")
         for name in dict.fromkeys(names)
-        if name not in known
+        if name not in parameters
     ]
     items += [
         ProblemItem(part="query", pointer=pointer([name]), detail="may be given once only")
         for name in dict.fromkeys(names)
-        if name in known - contract.repeatable and names.count(name) > 1
+        if name in parameters - contract.repeatable and names.count(name) > 1
     ]
     if items:
         detail = f"query {items[0].pointer}: {items[0].detail}"
@@ -99,7 +101,7 @@ Accepted = Annotated[str, Depends(media_type)]
 
 
 def _ranges(accept: str) -> list[tuple[str, float]]:
-    found = []
+    weights = []
     for part in accept.split(","):
         name, *parameters = (piece.strip() for piece in part.split(";"))
         weight = 1.0
@@ -111,8 +113,8 @@ def _ranges(accept: str) -> list[tuple[str, float]]:
                 except ValueError:
                     weight = 0.0
         if name:
-            found.append((name.lower(), weight))
-    return found
+            weights.append((name.lower(), weight))
+    return weights
 
 
 def _quality(media_type: str, ranges: Sequence[tuple[str, float]]) -> float:

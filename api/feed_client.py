@@ -193,13 +193,13 @@ class Follower:
 
     def _open_now(self) -> list[Event]:
         """Return the alerts that are open: what a client holds and is not among them is to be dropped."""
-        found: list[Event] = []
+        events: list[Event] = []
         path: str | None = "/v1/alerts?open=true&limit=1000"
         while path is not None:
             page = _checked(self.http.get(path))
-            found += page["items"]
+            events += page["items"]
             path = page["next"]
-        return found
+        return events
 
 
 LONGEST_CURSOR = 4096
@@ -264,4 +264,4 @@ def readable(event: Event) -> str:
     line = f"{event['recorded_at']}  {event['event']:<12}  {alert['id']:>6}  {alert['severity']:<8}  {alert['kind']}"
     line = f"{line}  {subject}" + (f"  by {event['actor']}" if event["actor"] != "treadwatch" else "")
     line += f"  {event['note']}" if event["note"] else ""
-    return "".join(one if one.isprintable() else repr(one)[1:-1] for one in line)
+    return "".join(character if character.isprintable() else repr(character)[1:-1] for character in line)

@@ -200,14 +200,6 @@ class LimitedConnection(H11Protocol):
             self._all.work(self)
 
 
-def _connection_measures(connections: Connections) -> list[Metric]:
-    cut = {reason.value: connections.cut[reason] for reason in Cut}
-    return [
-        GaugeMetricFamily("treadwatch_http_connections", "Open connections.", value=len(connections)),
-        counter("treadwatch_http_connections_cut", "Connections closed early.", "reason", cut),
-    ]
-
-
 WAITING_TO_BE_ACCEPTED = 2048  # connections that the system holds until they are accepted
 
 
@@ -232,8 +224,8 @@ class HttpServer(uvicorn.Server):
 def check_address(settings: Settings) -> None:
     """Refuse an address on which nobody can listen, before anything is opened for it; names the setting."""
     try:
-        found = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-        for family, kind, protocol, _, address in found:
+        addresses = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        for family, kind, protocol, _, address in addresses:
             with socket.socket(family, kind, protocol) as probe:
                 probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 probe.bind(address)
@@ -247,7 +239,15 @@ def check_address(settings: Settings) -> None:
 def http_server(app: FastAPI, settings: Settings) -> HttpServer:
     """Return the server of an app, which answers running requests before it ends on a signal."""
     connections = Connections(open_connections(settings.max_connections), settings.header_timeout_s)
-    app.state.registry.register(Measured(partial(_connection_measures, connections)))
+
+    def measures() -> list[Metric]:
+        cut = {reason.value: connections.cut[reason] for reason in Cut}
+        return [
+            GaugeMetricFamily("treadwatch_http_connections", "Open connections.", value=len(connections)),
+            counter("treadwatch_http_connections_cut", "Connections closed early.", "reason", cut),
+        ]
+
+    app.state.registry.register(Measured(measures))
     config = uvicorn.Config(
         app,
         host=settings.host,

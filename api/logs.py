@@ -114,21 +114,21 @@ def fault_of(error: BaseException) -> Fault:
 
 def short_trace(error: BaseException, clean: Callable[[str], str] = str) -> str:
     """Return a trace without local variables, bounded in depth and characters, the error itself first."""
-    parts, one, seen = [], error, set[int]()
+    parts, raised, seen = [], error, set[int]()
     for _ in range(CAUSES):
-        seen.add(id(one))
-        parts += [f"{_heading(one, clean)}\n", *traceback.extract_tb(one.__traceback__, limit=-FRAMES).format()]
-        behind = one.__cause__ or (None if one.__suppress_context__ else one.__context__)
+        seen.add(id(raised))
+        parts += [f"{_heading(raised, clean)}\n", *traceback.extract_tb(raised.__traceback__, limit=-FRAMES).format()]
+        behind = raised.__cause__ or (None if raised.__suppress_context__ else raised.__context__)
         if behind is None or id(behind) in seen:
             break
         parts.append("from ")
-        one = behind
+        raised = behind
     return "".join(parts)[:TRACE_CHARACTERS].rstrip()
 
 
 def _heading(error: BaseException, clean: Callable[[str], str]) -> str:
     heading = f"{type(error).__module__}.{type(error).__qualname__}: {error}"
-    inside = "".join(f"\n  {type(one).__qualname__}: {one}" for one in getattr(error, "exceptions", ())[:CAUSES])
+    inside = "".join(f"\n  {type(inner).__qualname__}: {inner}" for inner in getattr(error, "exceptions", ())[:CAUSES])
     return clean(heading)[:MESSAGE_CHARACTERS] + clean(inside)[:MESSAGE_CHARACTERS]
 
 
@@ -147,9 +147,9 @@ class FaultLedger:
 
     def admits(self, fault: Fault, now_s: float) -> bool:
         """Return whether this occurrence is to be written in full; otherwise it is counted."""
-        known = self._seen.get(fault)
-        if known is not None and now_s - known.full_at_s < FULL_AGAIN_S:
-            known.repeats += 1
+        earlier = self._seen.get(fault)
+        if earlier is not None and now_s - earlier.full_at_s < FULL_AGAIN_S:
+            earlier.repeats += 1
             self._seen.move_to_end(fault)
             return False
         self._seen[fault] = _Seen(now_s, now_s)
@@ -159,11 +159,11 @@ class FaultLedger:
 
     def due(self, now_s: float, after_s: float = SUMMARY_S) -> Iterator[tuple[Fault, int, float]]:
         """Yield the faults to be summed up: which, how often it came back, within how many seconds."""
-        for fault, known in self._seen.items():
-            since_s = now_s - known.written_at_s
-            if known.repeats and since_s >= after_s:
-                yield fault, known.repeats, since_s
-                known.repeats, known.written_at_s = 0, now_s
+        for fault, counted in self._seen.items():
+            since_s = now_s - counted.written_at_s
+            if counted.repeats and since_s >= after_s:
+                yield fault, counted.repeats, since_s
+                counted.repeats, counted.written_at_s = 0, now_s
 
 
 HIDDEN = "***"
@@ -197,8 +197,8 @@ class Redactor:
     def _forms(self) -> tuple[str, ...]:
         forms: set[str] = set()
         for secret in self.secrets:
-            for one in {secret, unquote(secret)}:
-                forms |= {one, quote(one, safe=""), quote_plus(one), json.dumps(one)[1:-1], repr(one)[1:-1]}
+            for form in {secret, unquote(secret)}:
+                forms |= {form, quote(form, safe=""), quote_plus(form), json.dumps(form)[1:-1], repr(form)[1:-1]}
         return tuple(sorted((form for form in forms if len(form) >= _SHORTEST), key=len, reverse=True))
 
     def __call__(self, text: str) -> str:
@@ -294,8 +294,8 @@ def _bounded(_logger: object, _name: str, event: EventDict) -> EventDict:
 
 
 def _error(given: object) -> BaseException | None:
-    found = sys.exc_info()[1] if given is True else given[1] if isinstance(given, tuple) else given
-    return found if isinstance(found, BaseException) else None
+    error = sys.exc_info()[1] if given is True else given[1] if isinstance(given, tuple) else given
+    return error if isinstance(error, BaseException) else None
 
 
 def _fault(record: logging.LogRecord) -> Fault | None:

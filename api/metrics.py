@@ -26,13 +26,13 @@ SILENT_AFTER_NS = 86_400 * 1_000_000_000  # a vehicle without data for longer is
 
 def _waiting(unit: SqlUnitOfWork, now_ns: int) -> list[Metric]:
     """Return what waits, since when, and how many vehicles of each fleet are silent."""
-    found = backlog_of(unit.connection)
-    states = {state.value: found.recordings.get(state, 0) for state in ChunkState}
-    oldest = {"recording": found.oldest_recording_ns, "window": found.oldest_window_ns}
+    backlog = backlog_of(unit.connection)
+    states = {state.value: backlog.recordings.get(state, 0) for state in ChunkState}
+    oldest = {"recording": backlog.oldest_recording_ns, "window": backlog.oldest_window_ns}
     since = {what: 0.0 if at_ns is None else at_ns / 1e9 for what, at_ns in oldest.items()}
     long_ago_ns = now_ns - SILENT_AFTER_NS
-    every = Tally(fleet for fleet, _ in found.last_data)
-    quiet = Tally(fleet for fleet, at_ns in found.last_data if at_ns is None or at_ns < long_ago_ns)
+    every = Tally(fleet for fleet, _ in backlog.last_data)
+    quiet = Tally(fleet for fleet, at_ns in backlog.last_data if at_ns is None or at_ns < long_ago_ns)
     silent = {fleet: quiet[fleet] for fleet in sorted(every)}
     text = "Since when the oldest waits that is not decoded or estimated; 0 where none waits."
     return [
@@ -98,8 +98,8 @@ def _quarantined(unit: SqlUnitOfWork) -> Metric:
 
 def _alerts(unit: SqlUnitOfWork) -> Metric:
     of_wheelsets = [alert for alert in unit.alerts.all_open() if alert.scope is AlertScope.WHEELSET]
-    found = Tally((alert.fleet, alert.kind, alert.severity.value) for alert in of_wheelsets)
-    return gauge("treadwatch_alerts_open", "Open alerts.", "fleet kind severity", dict(sorted(found.items())))
+    open_alerts = Tally((alert.fleet, alert.kind, alert.severity.value) for alert in of_wheelsets)
+    return gauge("treadwatch_alerts_open", "Open alerts.", "fleet kind severity", dict(sorted(open_alerts.items())))
 
 
 def _runs(unit: SqlUnitOfWork, jobs: Iterable[str]) -> list[Metric]:
@@ -118,7 +118,7 @@ def upload_measures(services: Services | None) -> list[Metric]:
         return []
     uploads = services.uploads
     ended = {outcome.value: uploads.ended[outcome] for outcome in Taken}
-    limits = (*(one.value for one in Limit), UPLOADS_FULL, NO_STORAGE)
+    limits = (*(limit.value for limit in Limit), UPLOADS_FULL, NO_STORAGE)
     refused = {limit: uploads.refused[limit] for limit in limits}
     text = "Bytes of new chunks that have their receipt."
     measures = [
@@ -130,10 +130,10 @@ def upload_measures(services: Services | None) -> list[Metric]:
     try:
         watch = services.uploads.backlog
         with watch.storage.read() as unit:
-            found = unit.chunks.undecoded_size()
+            undecoded = unit.chunks.undecoded_size()
         values = {
-            "treadwatch_chunks_waiting": ("Chunks with a receipt that wait to be decoded.", found.count),
-            "treadwatch_chunks_waiting_bytes": ("Their size.", found.size_bytes),
+            "treadwatch_chunks_waiting": ("Chunks with a receipt that wait to be decoded.", undecoded.count),
+            "treadwatch_chunks_waiting_bytes": ("Their size.", undecoded.size_bytes),
             "treadwatch_chunks_waiting_limit": ("How many may.", watch.limits.chunks),
             "treadwatch_chunks_waiting_limit_bytes": ("How large they may be.", watch.limits.size_bytes),
             "treadwatch_raw_free_bytes": ("Room on the disk on which chunks are received.", free_bytes(watch.folder)),
@@ -148,18 +148,18 @@ def upload_measures(services: Services | None) -> list[Metric]:
 def webhook_measures(storage: SqlStorage) -> list[Metric]:
     """Return how many webhooks are in which state, how their attempts ended, and since when the oldest event waits."""
     with storage.read() as unit:
-        found = unit.webhooks.counts()
-    in_state = Tally(one.webhook.state for one in found)
+        counts = unit.webhooks.counts()
+    in_state = Tally(count.webhook.state for count in counts)
     states = {state.value: in_state[state] for state in WebhookState}
     attempts = {
-        (str(one.webhook.webhook_id), outcome): count
-        for one in found
-        for outcome, count in (("delivered", one.delivered), ("failed", one.failed))
+        (str(counted.webhook.webhook_id), outcome): count
+        for counted in counts
+        for outcome, count in (("delivered", counted.delivered), ("failed", counted.failed))
     }
     return [
         gauge("treadwatch_webhooks", "Webhooks by state.", "state", states),
         counter("treadwatch_webhook_attempts", "Attempts to hand over an event.", "webhook outcome", attempts),
-        _oldest_undelivered(storage, [one.webhook for one in found]),
+        _oldest_undelivered(storage, [counted.webhook for counted in counts]),
     ]
 
 
@@ -167,10 +167,11 @@ def _oldest_undelivered(storage: SqlStorage, webhooks: Sequence[Webhook]) -> Met
     """Return since when events wait, also where no process delivers; of active webhooks alone."""
     text = "When the oldest event was recorded that an active webhook has not delivered; 0 where none waits."
     numbers = {}
-    for one in webhooks:
-        if one.state is not WebhookState.ACTIVE:
+    for webhook in webhooks:
+        if webhook.state is not WebhookState.ACTIVE:
             continue
-        with storage.seen_by(one.bound).read() as unit:
-            waits = unit.alerts.feed(one.position, 1, fleets=one.fleets, kinds=one.kinds, severities=one.severities)
-        numbers[str(one.webhook_id)] = waits[0].recorded_ns / 1e9 if waits else 0.0
+        with storage.seen_by(webhook.bound).read() as unit:
+            chosen = {"fleets": webhook.fleets, "kinds": webhook.kinds, "severities": webhook.severities}
+            waits = unit.alerts.feed(webhook.position, 1, **chosen)
+        numbers[str(webhook.webhook_id)] = waits[0].recorded_ns / 1e9 if waits else 0.0
     return gauge("treadwatch_webhook_oldest_undelivered_timestamp_seconds", text, "webhook", numbers)

@@ -35,11 +35,6 @@ def _identity(scope: Scope) -> str:
     return given if _IDENTITY.fullmatch(given) else uuid.uuid4().hex
 
 
-def _route(scope: Scope) -> str:
-    """Return the route's template, so that measures are counted by route and not by wheelset."""
-    return getattr(scope.get("route"), "path_format", "unmatched")
-
-
 Before = Callable[[int, MutableHeaders], Awaitable[None]]
 """What is done before an answer begins: with its status, and its headers, which it may add to."""
 
@@ -96,8 +91,8 @@ class Turn:
 
     def left_s(self, timeout_s: float) -> float:
         """Return how long the answer may still take; while it waits for news, how long until this is asked again."""
-        left = timeout_s - (time.monotonic() - self._began - self._waited_s)
-        return timeout_s if self.waiting else max(0.0, left)
+        left_s = timeout_s - (time.monotonic() - self._began - self._waited_s)
+        return timeout_s if self.waiting else max(0.0, left_s)
 
 
 def turn_of(scope: Scope) -> Turn:
@@ -147,7 +142,9 @@ class RequestContextMiddleware:
                 took = time.perf_counter() - began
                 status = HTTPStatus.INTERNAL_SERVER_ERROR if answer.status is None else answer.status
                 method = scope["method"] if scope["method"] in _METHODS else OTHER
-                self.measures.observe(method, _route(scope), int(status), took)
+                # by the template of the route, not by wheelset
+                template = getattr(scope.get("route"), "path_format", "unmatched")
+                self.measures.observe(method, template, int(status), took)
                 _log.info(
                     "request",
                     method=scope["method"],

@@ -119,9 +119,9 @@ def job_context(settings: Settings, storage: SqlStorage) -> JobContext:
 
 def rails_settings(settings: Settings) -> RailsSettings:
     """Return the settings of wheels and rails apart that this deployment asks for."""
-    known = known_sections(settings.rails_known_sections or "")
+    sections = known_sections(settings.rails_known_sections or "")
     model = replace(RailsParameters(), limit=settings.rails_limit)
-    return RailsSettings(frozenset(KnownSection(code, on_ns) for code, on_ns in known), model)
+    return RailsSettings(frozenset(KnownSection(code, on_ns) for code, on_ns in sections), model)
 
 
 def scheduled_jobs(settings: Settings) -> tuple[Job, ...]:

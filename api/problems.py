@@ -190,11 +190,11 @@ def invalid(place: str, detail: str, said: str | None = None, part: str = "body"
 def _refused_record(error: RegistryRefusedError) -> ProblemError:
     """Return 409 where a record contradicts others, else 422: it is impossible by itself."""
     items = [
-        ProblemItem(part="body", pointer=pointer([one.error.field] if one.error.field else []), detail=one.error.reason)
-        for one in error.refusals
+        ProblemItem(part="body", pointer=pointer([wrong.field] if wrong.field else []), detail=wrong.reason)
+        for wrong in (refusal.error for refusal in error.refusals)
     ]
     others = dict.fromkeys(
-        name for one in error.refusals if one.contradiction is not None for name in one.contradiction.others
+        name for refusal in error.refusals if refusal.contradiction is not None for name in refusal.contradiction.others
     )
     records = [
         ContradictedRecord(kind=name.kind, key=name.key, at=None if name.at_ns is None else to_rfc3339(name.at_ns))
@@ -268,9 +268,9 @@ def allowed_methods(operations: Iterable[tuple[str, str]], path: str, named: str
         methods.setdefault(template, set()).add(method)
     fitting = [template for template in methods if compile_path(template)[0].match(path)]
     if fitting:
-        found = methods[min(fitting, key=lambda template: template.count("{"))]
+        allowed = methods[min(fitting, key=lambda template: template.count("{"))]
     else:
-        found = {name.strip() for name in named.split(",") if name.strip()}
-    if HTTPMethod.GET in found:
-        found = {*found, HTTPMethod.HEAD.value}
-    return ", ".join(sorted(found))
+        allowed = {name.strip() for name in named.split(",") if name.strip()}
+    if HTTPMethod.GET in allowed:
+        allowed = {*allowed, HTTPMethod.HEAD.value}
+    return ", ".join(sorted(allowed))

@@ -111,8 +111,8 @@ def _truth(table: ContactTable, edges: FloatArray) -> tuple[dict[str, FloatArray
         np.abs(np.diff(table.rolling_radius_difference[:, nominal])),
         0,
     )
-    at = 0.5 * (x[:-1] + x[1:])
-    jump = np.array([step[(at >= a) & (at < b)].max(initial=0.0) for a, b in pairwise(edges)])
+    middles = 0.5 * (x[:-1] + x[1:])
+    jump = np.array([step[(middles >= a) & (middles < b)].max(initial=0.0) for a, b in pairwise(edges)])
     return truth, jump
 
 
@@ -325,8 +325,8 @@ def _printed_at(case: Case) -> dict[str, FloatArray]:
     width = case.estimate.bin_edges[1] - case.estimate.bin_edges[0]
     place = np.rint((case.estimate.bin_centres - case.printed.centre[0]) / width).astype(np.int64)
     inside = (place >= 0) & (place < len(case.printed.centre))
-    at = np.where(inside, place, 0)
-    return {name: np.where(inside, getattr(case.printed, name)[at], np.nan) for name in COMBINATIONS}
+    nearest = np.where(inside, place, 0)
+    return {name: np.where(inside, getattr(case.printed, name)[nearest], np.nan) for name in COMBINATIONS}
 
 
 def _list(values: FloatArray) -> list[JsonValue]:

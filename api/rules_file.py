@@ -60,12 +60,12 @@ def changed(value: _Value, given: BaseModel | None) -> _Value:
     """
     if given is None:
         return value
-    found = dict(_set_fields(value, given))
+    fields_set = dict(_set_fields(value, given))
     if isinstance(value, AlertDelays):
         for evaluations, km in _EITHER:
-            if evaluations in found:
-                found.setdefault(km, 0.0)
-    return replace(value, **found)  # type: ignore[type-var]  # a dataclass
+            if evaluations in fields_set:
+                fields_set.setdefault(km, 0.0)
+    return replace(value, **fields_set)  # type: ignore[type-var]  # a dataclass
 
 
 def both_units(given: BaseModel | None) -> str | None:
@@ -76,7 +76,7 @@ def both_units(given: BaseModel | None) -> str | None:
 
 
 def _set_fields(value: Any, given: BaseModel) -> Mapping[str, Any]:  # noqa: ANN401 - any dataclass or its type
-    found: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
     hints = get_type_hints(value if isinstance(value, type) else type(value))
     for name in given.model_fields_set:
         item = getattr(given, name)
@@ -85,8 +85,8 @@ def _set_fields(value: Any, given: BaseModel) -> Mapping[str, Any]:  # noqa: ANN
         elif isinstance(item, list):
             element = get_args(hints[name])[0]
             item = tuple(element(**_set_fields(element, entry)) for entry in item)
-        found[name] = float(item) if hints[name] is float else item
-    return found
+        settings[name] = float(item) if hints[name] is float else item
+    return settings
 
 
 _RELATIONS = {"<=": (operator.le, "is above"), ">=": (operator.ge, "is below")}
@@ -153,14 +153,14 @@ def load_rules(path: Path, book: RuleBook | None = None) -> RuleBook:
     everywhere = _with(book, _Layer(None, None, given, ()), file)
     layers = list(_layers(given, file))
     books = {}
-    fleets = [None, *dict.fromkeys(one.fleet for one in layers if one.fleet is not None)]
-    classes = [None, *dict.fromkeys(one.vehicle_class for one in layers if one.vehicle_class is not None)]
+    fleets = [None, *dict.fromkeys(layer.fleet for layer in layers if layer.fleet is not None)]
+    classes = [None, *dict.fromkeys(layer.vehicle_class for layer in layers if layer.vehicle_class is not None)]
     for scope in product(fleets, classes) if layers else ():
-        found = everywhere
+        of_scope = everywhere
         for layer in layers:
             if layer.holds(*scope):
-                found = _with(found, layer, file)
-        books[scope] = found
+                of_scope = _with(of_scope, layer, file)
+        books[scope] = of_scope
     return replace(everywhere, name=getattr(given, "name", None) or "", scoped=books)
 
 
@@ -190,8 +190,8 @@ def _schema(book: RuleBook) -> type[InputTable]:
 
 def _layers(given: Any, file: InputFile) -> Iterator[_Layer]:  # noqa: ANN401 - of the schema made above
     """Yield what the file says of classes, of fleets, and of classes in fleets: the later go before the earlier."""
-    classes = [_Layer(None, one.code, one, ("class", i)) for i, one in enumerate(given.classes)]
-    fleets = [_Layer(one.fleet, one.code, one, ("fleet", i)) for i, one in enumerate(given.fleets)]
+    classes = [_Layer(None, of_class.code, of_class, ("class", i)) for i, of_class in enumerate(given.classes)]
+    fleets = [_Layer(of_fleet.fleet, of_fleet.code, of_fleet, ("fleet", i)) for i, of_fleet in enumerate(given.fleets)]
     seen: dict[tuple[str | None, str | None], _Layer] = {}
     for layer in (*classes, *fleets):
         scope = (layer.fleet, layer.vehicle_class)
@@ -200,14 +200,14 @@ def _layers(given: Any, file: InputFile) -> Iterator[_Layer]:  # noqa: ANN401 - 
         seen[scope] = layer
         if layer.vehicle_class is not None and getattr(layer.tables, _ALARM_FLOOD, None) is not None:
             raise file.error("is of a whole fleet: leave `class` out", (*layer.location, _ALARM_FLOOD))
-    yield from sorted(seen.values(), key=lambda one: (one.fleet is not None, one.vehicle_class is not None))
+    yield from sorted(seen.values(), key=lambda layer: (layer.fleet is not None, layer.vehicle_class is not None))
 
 
 def _with(book: RuleBook, layer: _Layer, file: InputFile) -> RuleBook:
     rules = []
     for rule in book.rules:
         table = getattr(layer.tables, rule.kind)
-        found = changed(rule, table)
+        of_table = changed(rule, table)
         if table is not None:
             twice = both_units(getattr(table, "delays", None))
             if twice is not None:
@@ -215,21 +215,21 @@ def _with(book: RuleBook, layer: _Layer, file: InputFile) -> RuleBook:
                     f"a delay is in evaluations or in kilometres: leave {twice.replace('delay_km', 'evaluations')} out"
                 )
                 raise file.error(reason, (*layer.location, rule.kind, "delays", twice))
-            wrong = contradiction(found)
+            wrong = contradiction(of_table)
             if wrong is not None:
                 where, reason = wrong
                 scope = f", for {layer.named}" if layer.named else ""
                 raise file.error(reason + scope, (*layer.location, rule.kind, *where))
-        rules.append(found)
+        rules.append(of_table)
     flood = changed(book.alarm_flood, getattr(layer.tables, _ALARM_FLOOD, None))
     return replace(book, rules=tuple(rules), alarm_flood=flood)
 
 
 def resolved(book: RuleBook) -> Mapping[str, RuleBook]:
     """Return the book of every scope that a file names, by the name of the scope."""
-    found = {"all fleets and classes": book}
-    for (fleet, vehicle_class), one in book.scoped.items():
+    books = {"all fleets and classes": book}
+    for (fleet, vehicle_class), rules in book.scoped.items():
         names = [f"{what} {code}" for what, code in (("fleet", fleet), ("class", vehicle_class)) if code is not None]
         if names:
-            found[", ".join(names)] = one
-    return found
+            books[", ".join(names)] = rules
+    return books

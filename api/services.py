@@ -23,6 +23,7 @@ from estimation.jobs.job import Job, JobContext, run_job
 from estimation.storage import Clock
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 from fleet_db.raw import RawStore
+from fleet_db.rows import present
 from fleet_db.session import BUSY_TIMEOUT_MS
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.topic.references import Publisher
@@ -85,9 +86,8 @@ class JobRunner:
                 latest = unit.jobs.page(job.name, None, 1)
             for run in latest:
                 if run.outcome is JobOutcome.RUNNING:
-                    raise ConflictError(
-                        f"job {job.name} is running (run {run.run_id})", kind="job-run", key=str(run.run_id)
-                    )
+                    reason = f"job {job.name} is running (run {run.run_id})"
+                    raise ConflictError(reason, kind="job-run", key=str(run.run_id))
             begun: Future[JobRun] = Future()
             self._running = self._executor.submit(self._run, job, begun)
             wait([begun, self._running], return_when=FIRST_COMPLETED)
@@ -127,10 +127,7 @@ class Services:
 
     def job(self, name: str) -> Job:
         """Return the job of this name."""
-        try:
-            return self.jobs[name]
-        except KeyError:
-            raise NotFoundError("job", name) from None
+        return present(self.jobs.get(name), "job", name)
 
 
 async def services_of(request: Request, caller: CallerDep) -> Services:
@@ -158,14 +155,14 @@ def require_known(
     fleet_alert: int | None = None,
 ) -> None:
     """Refuse filters that name nothing; to be asked where a page is empty, for one with rows shows that they do."""
-    if fleet is not None and all(one.code != fleet for one in unit.registry.fleets()):
+    if fleet is not None and all(record.code != fleet for record in unit.registry.fleets()):
         raise NotFoundError("fleet", fleet)
     if vehicle is not None:
         unit.registry.vehicle(vehicle)
     if wheelset is not None:
         unit.registry.wheelset(wheelset)
-    if vehicle_class is not None and unit.registry.vehicle_class(vehicle_class) is None:
-        raise NotFoundError("vehicle class", vehicle_class)
+    if vehicle_class is not None:
+        present(unit.registry.vehicle_class(vehicle_class), "vehicle class", vehicle_class)
     if fleet_alert is not None and unit.alerts.get(fleet_alert).wheelset is not None:
         raise NotFoundError("fleet alert", str(fleet_alert))
 
@@ -189,11 +186,6 @@ def _numbered(look_up: Callable[[SqlUnitOfWork, int], object]) -> Find:
     return find
 
 
-def _recording(unit: SqlUnitOfWork, digest: str) -> None:
-    if unit.chunks.get(digest) is None:
-        raise NotFoundError("recording", digest)
-
-
 SHARED: Find = lambda _unit, _name: None  # noqa: E731 - a name for what needs no look
 FINDERS: Mapping[str, Find] = {
     "/v1/alerts/{alert_id}": _numbered(lambda unit, number: unit.alerts.get(number)),
@@ -202,7 +194,7 @@ FINDERS: Mapping[str, Find] = {
     "/v1/wheelsets/{serial}": lambda unit, serial: unit.registry.wheelset(serial),
     "/v1/jobs/{name}": SHARED,
     "/v1/keys/{prefix}": SHARED,
-    "/v1/recordings/{digest}": _recording,
+    "/v1/recordings/{digest}": lambda unit, digest: present(unit.chunks.get(digest), "recording", digest),
     "/v1/chunks/{sha256}": SHARED,  # it need not be there yet; the route looks at its vehicle
     "/v1/webhooks/{webhook_id}": _numbered(lambda unit, number: unit.webhooks.get(number)),
 }

@@ -38,8 +38,8 @@ def names_endpoint(url: str) -> bool:
 
 def known_sections(text: str) -> list[tuple[str, int]]:
     """Return codes of sections, each with the begin of its day, ns UTC, of a text ``S1@2026-03-01,S2@2026-05-17``."""
-    found = []
-    for entry in filter(None, (one.strip() for one in text.split(","))):
+    dated = []
+    for entry in filter(None, (item.strip() for item in text.split(","))):
         code, at, day = entry.rpartition("@")
         if not at or not code:
             raise ValueError(
@@ -49,8 +49,8 @@ def known_sections(text: str) -> list[tuple[str, int]]:
             begin = datetime.combine(date.fromisoformat(day), time(), UTC)
         except ValueError:
             raise ValueError(f"section {code} must have a day such as 2026-03-01 behind its @") from None
-        found.append((code, int(begin.timestamp()) * SECOND_NS))
-    return found
+        dated.append((code, int(begin.timestamp()) * SECOND_NS))
+    return dated
 
 
 PREFIX = "TREADWATCH_"

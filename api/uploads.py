@@ -213,7 +213,7 @@ def _outcome(error: Exception) -> Taken:
 def _require_digest(incoming: IncomingFile, digest: str) -> None:
     if incoming.digest == digest and incoming.size_bytes:
         return
-    found = f"has the sha256 {incoming.digest}" if incoming.size_bytes else "is empty"
-    detail = f"the body {found}; nothing of it is stored"
+    wrong = f"has the sha256 {incoming.digest}" if incoming.size_bytes else "is empty"
+    detail = f"the body {wrong}; nothing of it is stored"
     item = ProblemItem(part="path", pointer="#/sha256", detail=detail)
     raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, "digest-mismatch", detail, [item])

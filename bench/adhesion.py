@@ -30,7 +30,7 @@ from bench.adhesion_rows import (
     quiet_scenario,
     with_others,
 )
-from bench.report import BenchRow, Part, ResultTable, row_table
+from bench.report import BenchRow, ResultTable, row_table
 from bench.study import Case, Key, Study, stored_cases
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario_file import load_scenario
@@ -103,7 +103,6 @@ def summary(cases: Sequence[Case]) -> list[BenchRow]:
 
 
 def _stretches_row(judged: Sequence[Case], seeds: str) -> BenchRow:
-    """Return how many stretches of low friction are found."""
     found, every = _found(judged, LEAST_LENGTH), _found(judged)
     unseen = [case for case in judged if case["seed"] not in CHOSEN_ON]
     confirming, deep = _found(unseen, LEAST_LENGTH), _found(judged, LEAST_LENGTH, DEEP)
@@ -118,7 +117,6 @@ def _stretches_row(judged: Sequence[Case], seeds: str) -> BenchRow:
 
 
 def _alarms_row(cases: Sequence[Case]) -> BenchRow:
-    """Return how many alarms there are without low friction, over all cases and over seeds that chose nothing."""
     unseen = [case for case in cases if case["seed"] not in CHOSEN_ON]
     far, km = _false(cases, JUST_ABOVE), _km(cases)
     return BenchRow(
@@ -267,13 +265,11 @@ def _error(errors: np.ndarray) -> str:
 
 def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]:
     if options.again:
+        stored = {(case["row"], case["seed"]): case for case in stored_cases(options.out, KEY)}
         for row, seed in sorted(done):
             path = path_of(options.sums, row, seed)
             if path.exists():
-                stored = next(
-                    case for case in stored_cases(options.out, KEY) if (case["row"], case["seed"]) == (row, seed)
-                )
-                yield stored | asdict(judge(read_passes(path)))
+                yield stored[row, seed] | asdict(judge(read_passes(path)))
         return
     for seed in options.seeds:
         yield from _of_seed([row for row in options.rows if (row, seed) not in done], seed, options.sums)
@@ -314,11 +310,6 @@ def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--again", action="store_true", help="run no case, pool the passes of those in --out again")
 
 
-def parts(cases: Sequence[Case]) -> list[Part]:
-    """Return the tables of the page."""
-    return [row_table(summary(cases)), ResultTable(FRICTION_COLUMNS, friction_rows(cases))]
-
-
 def _line(case: Case) -> str:
     found = f"{sum(case['found'])} of {len(case['found'])} stretches, {len(case['alarms'])} alarms"
     return f"{case['row']} seed {case['seed']}: {found}"
@@ -329,7 +320,7 @@ main = Study(
     title="Creep forces and friction",
     about=__doc__ or "",
     cases=_cases,
-    parts=parts,
+    parts=lambda cases: [row_table(summary(cases)), ResultTable(FRICTION_COLUMNS, friction_rows(cases))],
     line=_line,
     rows=ROWS,
     groups=GROUPS,

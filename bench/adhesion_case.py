@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.adhesion_fleet import Fleet, SensedWindow
+from bench.adhesion_fleet import Fleet, SensedWindow, true_friction
 from estimation.adhesion.creep_forces import (
     ContactForces,
     FrictionParameters,
@@ -180,7 +180,8 @@ def score(fleet: Fleet, row: str, folder: Path, *, left_out_too: bool = True) ->
     if scenario.creep.law is CreepLaw.LINEAR:
         return done
     s = np.arange(fleet.track.s[0], fleet.track.s[-1], STEP)
-    stored = StoredPasses(scenario.section.code, tuple(passes), s, fleet.friction(0, s), _length(fleet))
+    friction = true_friction(scenario, fleet.track, 0, s)
+    stored = StoredPasses(scenario.section.code, tuple(passes), s, friction, _length(fleet))
     write_passes(path_of(folder, row, scenario.seed), stored)
     found = section_adhesion(scenario.section.code, passes, FrictionParameters(), stored.length)
     if found is None:

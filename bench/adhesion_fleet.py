@@ -13,11 +13,10 @@ from functools import cache
 import numpy as np
 from scipy.signal import firwin
 
-from bench.made_values import made_window
+from bench.made_values import made_alignment, made_window
 from estimation.contact.geometry import ContactTable
 from estimation.motion.axle_distance import with_frame_yaw
 from estimation.values.arrays import FloatArray
-from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window, WindowQuality
 from estimation.vehicle.vehicle_class import Arrangement, SensorChannel, SensorLayout, VehicleClass, VehicleParameters
@@ -34,7 +33,6 @@ from ingest.simulator.drawn_fleet import vehicle_parameters
 from ingest.simulator.fleet import surveyed
 from ingest.simulator.motion import STEP, WheelsetMotion
 from ingest.simulator.scenario import Scenario
-from ingest.simulator.sensors import Channel
 from ingest.simulator.track import TrackTruth
 
 WINDOW_S = 60.0
@@ -71,10 +69,6 @@ class Fleet:
     vehicle_class: VehicleClass
     windows: tuple[SensedWindow, ...]
 
-    def friction(self, campaign: int, distance: FloatArray) -> FloatArray:
-        """Return the true coefficient of friction (n,) at distances (n,), m, in a campaign (from 0)."""
-        return true_friction(self.scenario, self.track, campaign, distance)
-
 
 def true_friction(scenario: Scenario, track: TrackTruth, campaign: int, distance: FloatArray) -> FloatArray:
     """Return the true coefficient of friction (n,) at distances (n,), m, in a campaign (from 0)."""
@@ -87,38 +81,21 @@ def true_friction(scenario: Scenario, track: TrackTruth, campaign: int, distance
 
 def class_of(scenario: Scenario) -> VehicleClass:
     """Return the class of the scenario's vehicles as its registry has it."""
-    sensors = scenario.sensors
-    return VehicleClass(
-        code="bench",
-        name="bench",
-        source=f"scenario {scenario.name}",
-        arrangement=Arrangement.SINGLE_WHEELSET if scenario.bogie is None else Arrangement.BOGIE,
-        parameters=scenario.parameters,
-        bogie=scenario.bogie,
-        sensors=SensorLayout(
-            _channel(sensors.lateral),
-            _channel(sensors.yaw),
-            _channel(sensors.roll),
-            _channel(sensors.mass_lateral),
-            measures_gravity=sensors.measures_gravity,
-            rate_hz=float(sensors.rate_hz),
-        ),
-    )
-
-
-def _channel(channel: Channel) -> SensorChannel:
-    return SensorChannel(channel.noise_density, 0.0, channel.limit)
+    node = scenario.sensors
+    signals = (node.lateral, node.yaw, node.roll, node.mass_lateral)
+    channels = [SensorChannel(signal.noise_density, 0.0, signal.limit) for signal in signals]
+    sensors = SensorLayout(*channels, measures_gravity=node.measures_gravity, rate_hz=float(node.rate_hz))
+    arrangement = Arrangement.SINGLE_WHEELSET if scenario.bogie is None else Arrangement.BOGIE
+    source = f"scenario {scenario.name}"
+    return VehicleClass("bench", "bench", source, arrangement, scenario.parameters, scenario.bogie, sensors)
 
 
 def simulate(scenario: Scenario) -> Fleet:
     """Return the windows of every wheelset of a scenario in every campaign."""
     track = scenario_track(scenario)
     survey = surveyed(scenario, track)
-    zero = np.zeros(len(survey.s))
-    std = np.full(len(survey.s), scenario.section.survey_alignment_std)
-    alignment = TrackAlignment(
-        scenario.section.code, 1, survey.s, survey.alignment, std, zero, zero, zero.astype(np.int64), Status.ESTIMATED
-    )
+    section = scenario.section
+    alignment = made_alignment(survey.s, survey.alignment, section.survey_alignment_std, section.code)
     windows = tuple(_windows(scenario, track))
     return Fleet(scenario, track, alignment, class_of(scenario), windows)
 

@@ -6,6 +6,7 @@ Apart from ``measuring``, for a process whose memory is measured imports nothing
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from sqlalchemy import event
 from sqlalchemy.engine import Engine
 
 from estimation.errors import TreadwatchError
+from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.values.runs import JobRun, JobTrigger
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
@@ -51,6 +53,14 @@ def asked() -> Iterator[Asked]:
     finally:
         SqlStorage.write = write  # type: ignore[method-assign]
         event.remove(Engine, "before_cursor_execute", count)
+
+
+def run_all(context: JobContext) -> Counter[str]:
+    """Run all jobs, which must succeed; return their counts together."""
+    counts: Counter[str] = Counter()
+    for job in ALL_JOBS:
+        counts.update(run(job, context).counts)
+    return counts
 
 
 def run(job: Job, context: JobContext) -> JobRun:

@@ -58,9 +58,8 @@ def _reversed(window: Window) -> Window:
 
 
 def _dead(window: Window) -> Window:
-    return (
-        replace(window, mass_lateral_acceleration=0.0 * window.mass_lateral_acceleration) if window.axle % 2 else window
-    )
+    dead = replace(window, mass_lateral_acceleration=0.0 * window.mass_lateral_acceleration)
+    return dead if window.axle % 2 else window
 
 
 def _late(window: Window) -> Window:

@@ -25,7 +25,7 @@ import time
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -246,15 +246,15 @@ def _results(url: str) -> dict[str, Any]:
     sections = sorted(item["code"] for item in _items(url, "/v1/track-sections"))
     vehicles = sorted(item["code"] for item in _items(url, "/v1/vehicles"))
 
-    def of_each(place: str, names: Sequence[str], kind: str) -> dict[str, Any]:
-        return {name: _get(url, f"/v1/{place}/{_quoted(name)}/{kind}") for name in names}
+    def of_each(place: str, names: Sequence[str], kind: str, read: Callable[[str, str], Any] = _get) -> dict[str, Any]:
+        return {name: read(url, f"/v1/{place}/{_quoted(name)}/{kind}") for name in names}
 
     answers = {
-        "geometry": {serial: _recorded(url, f"/v1/wheelsets/{_quoted(serial)}/geometry") for serial in wheelsets},
-        "trend": {serial: _recorded(url, f"/v1/wheelsets/{_quoted(serial)}/trend") for serial in wheelsets},
+        "geometry": of_each("wheelsets", wheelsets, "geometry", _recorded),
+        "trend": of_each("wheelsets", wheelsets, "trend", _recorded),
         "alerts": _alerts(url),
         "tracks": {code: _track(url, f"/v1/track-sections/{_quoted(code)}") for code in sections},
-        "windows": {serial: _items(url, f"/v1/wheelsets/{_quoted(serial)}/windows") for serial in wheelsets},
+        "windows": of_each("wheelsets", wheelsets, "windows", _items),
         "adhesion": of_each("track-sections", sections, "adhesion") | of_each("wheelsets", wheelsets, "creep-forces"),
         "rails": of_each("track-sections", sections, "rails") | of_each("wheelsets", wheelsets, "rails"),
         "signature": of_each("wheelsets", wheelsets, "signature"),

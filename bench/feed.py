@@ -61,16 +61,8 @@ class Service:
 
     def write(self, writer: int, steps: int, pause_s: float) -> list[str]:
         """Return the arguments of a process that commits events."""
-        return [
-            "-m",
-            "bench.feed",
-            "write",
-            str(self.folder),
-            self.database_url or "",
-            f"{writer}",
-            f"{steps}",
-            f"{pause_s}",
-        ]
+        numbers = (str(writer), str(steps), str(pause_s))
+        return ["-m", "bench.feed", "write", str(self.folder), self.database_url or "", *numbers]
 
     def poll(self, file: Path) -> list[str]:
         """Return the arguments of a process that polls."""
@@ -207,7 +199,6 @@ def _started(arguments: list[str], *, quiet: bool = False) -> subprocess.Popen[b
 
 
 def _new_alert(writer: int) -> Alert:
-    """Return an alert that is not stored yet."""
     return Alert(
         alert_id=0,
         fleet=FLEET,

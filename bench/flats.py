@@ -7,7 +7,6 @@ contact. The window is judged as ingest judges it. Constants were chosen on seed
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -15,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.report import BenchRow, ResultTable, ended, row_table
+from bench.report import BenchRow, ResultTable, ended, options_of, row_table
 from estimation.motion.hunting import find_hunting
 from estimation.motion.without_blows import blows_unless_hunting
 from estimation.values.arrays import FloatArray
@@ -153,6 +152,7 @@ def _measured(scenario: Scenario, motion: WheelsetMotion, vibration: float, rng:
 
 
 TITLE = "Wheel flats"
+OPTIONS = {"wheelsets": (320, "windows of wheelsets"), "first-seed": (200, "seeds go up from here")}
 HEADER = (
     "blows at 20 m/s",
     *(f"vibration {one:g} m/s2" for one in VIBRATIONS),
@@ -216,7 +216,7 @@ def _share(windows: Sequence[Judged]) -> str:
 
 def main(arguments: Sequence[str]) -> int:
     """Run what was asked for; return 1 when a row falls short."""
-    options = _options(arguments)
+    options = options_of("flats", __doc__ or "", OPTIONS, arguments)
     found, seed = list[Judged](), options.first_seed
     while len({one.window for one in found}) < options.wheelsets:
         with suppress(DerailmentError):  # a drawn wheelset that climbs its rail at the drawn speed is no case
@@ -226,11 +226,3 @@ def main(arguments: Sequence[str]) -> int:
     parts = [EXPLANATION, ResultTable(HEADER, sizes, range(1, 7)), row_table(bench_rows(found))]
     command = f"python -m bench flats --wheelsets {options.wheelsets} --write-docs" if options.write_docs else None
     return ended(parts, "flats", TITLE, command)
-
-
-def _options(arguments: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m bench flats", description=__doc__)
-    parser.add_argument("--wheelsets", type=int, default=320, help="windows of wheelsets (default: 320)")
-    parser.add_argument("--first-seed", type=int, default=200, help="seeds go up from here (default: 200)")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/results/flats.md")
-    return parser.parse_args(arguments)

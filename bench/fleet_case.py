@@ -184,7 +184,6 @@ def score(scenario: Scenario, cache: Path, folder: Path) -> dict[str, Any]:
 
 
 def _stored(storage: Storage, scenario: Scenario, truths: Sequence[TrueWheelset]) -> dict[str, Any]:
-    """Return what the store holds after the jobs."""
     section = scenario.section.code
     wheelsets: list[dict[str, Any]] = []
     with storage.read() as unit:

@@ -48,7 +48,6 @@ class Trace:
         return code.co_filename.startswith(self.roots)
 
     def _importing(self, frame: FrameType) -> bool:
-        """Return whether a module or class body of the product is being executed."""
         above: FrameType | None = frame
         while above is not None:
             code = above.f_code

@@ -169,7 +169,6 @@ def static_counts(root: Path) -> Iterator[Count]:
 
 
 def _sources(root: Path, folders: Iterable[str] = PACKAGES) -> Iterator[tuple[str, str]]:
-    """Yield every Python file's path below the root and its text."""
     for folder in folders:
         for path in sorted((root / folder).rglob("*.py")):
             if MIGRATIONS in path.parts:

@@ -10,21 +10,20 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import median
 
 from sqlalchemy import func, select
 
-from api.factory import open_store
-from api.pipeline import job_context, scheduled_jobs
+from api.comparison.trial import opened
+from api.pipeline import scheduled_jobs
 from api.settings import Settings
 from bench.counting import asked, run
 from bench.idle_fleet import FleetSize, fill, note_opinions
 from bench.measuring import cpu_of, tree
 from bench.report import BenchRow, RowBench
-from bench.wheelset_year import At
+from bench.standing_clock import StandingClock
 from estimation.errors import TreadwatchError
 from estimation.jobs.job import Job, JobContext
 from fleet_db.migrate import upgrade
@@ -78,12 +77,11 @@ class Spent:
 
 def _measured(name: str, settings: Settings, size: FleetSize, server_s: Callable[[], float]) -> Iterator[BenchRow]:
     upgrade(settings.url)
-    with closing(open_store(settings)) as storage:
+    with opened(settings) as (storage, context):
         began = time.perf_counter()
-        context = job_context(settings, storage)
         end_ns = fill(context, storage, settings, size)
         filled_s = time.perf_counter() - began
-        at, jobs = replace(context, clock=At(end_ns + LATER_NS)), scheduled_jobs(settings)
+        at, jobs = replace(context, clock=StandingClock(end_ns + LATER_NS)), scheduled_jobs(settings)
         runs = _run_until_nothing_is_done(at, tuple(job for job in jobs if job.name not in JUDGED_TOGETHER))
         note_opinions(at, storage)
         runs += _run_until_nothing_is_done(at, jobs)
@@ -145,7 +143,6 @@ def _counts(storage: SqlStorage) -> str:
 
 
 def _cpu_of_server(server: PostgresServer) -> float:
-    """Return processor time of the processes of a server, s."""
     assert server.process is not None
     return sum(map(cpu_of, tree(server.process.pid)))
 

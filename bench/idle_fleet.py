@@ -16,8 +16,9 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Insert, Table, case, func, insert, literal, select
 
 from api.settings import Settings
+from bench.standing_clock import StandingClock
 from bench.wheelset_recording import recorded
-from bench.wheelset_year import SERIAL, At, WheelsetYear
+from bench.wheelset_year import SERIAL, WheelsetYear
 from estimation.jobs import refresh_rails, refresh_signatures
 from estimation.jobs.catalogue import ALL_STAGES, job_named
 from estimation.jobs.job import JobContext, run_job
@@ -138,7 +139,7 @@ def fill(context: JobContext, storage: SqlStorage, settings: Settings, size: Fle
     """Fill an empty database; return our time at the end, ns UTC."""
     end_ns = WheelsetYear(context, storage, recorded(context, storage, settings)).put(1, DAYS)
     for name in OPINIONS:
-        run_job(job_named(name), replace(context, clock=At(end_ns)), JobTrigger.CLI)
+        run_job(job_named(name), replace(context, clock=StandingClock(end_ns)), JobTrigger.CLI)
     with storage.write() as unit:
         _sections(unit, size)
     for first in range(0, size.vehicles, TOGETHER):
@@ -225,7 +226,6 @@ def _copy(table: Table, own: Mapping[str, object], rows: ColumnElement[bool] | N
 
 
 def _chunks(connection: Connection, vehicle: str) -> Iterator[dict[str, object]]:
-    """Yield a receipt for each day of a vehicle."""
     model = dict(connection.execute(select(CHUNKS).order_by(CHUNKS.c.digest).limit(1)).mappings().one())
     for day in range(DAYS):
         shift_ns = day * DAY_NS
@@ -234,7 +234,6 @@ def _chunks(connection: Connection, vehicle: str) -> Iterator[dict[str, object]]
 
 
 def _see(unit: SqlUnitOfWork, context: JobContext) -> None:
-    """Let every stage have seen what there is."""
     for stage in ALL_STAGES:
         inputs = stage.inputs(context)
         due = unit.marks.due(inputs, 0)

@@ -74,17 +74,30 @@ class _Course:
     trend: WearTrend
 
 
+@dataclass(frozen=True)
+class _Drawn:
+    """What is drawn of a fleet: by wheelset the number of its course, and its mileage when the year begins, km."""
+
+    size: FleetSize
+    courses: list[_Course]
+    chosen: np.ndarray
+    mileages: np.ndarray
+    now_ns: int
+
+    @property
+    def from_ns(self) -> int:
+        return self.now_ns - self.size.days * DAY_NS
+
+
 def populate(storage: SqlStorage, size: FleetSize, seed: int, now_ns: int) -> float:
     """Fill an empty database with the fleet; return how long it took, in seconds."""
     began = time.perf_counter()
     random = np.random.default_rng(seed)
     courses = [_course(random, size.days, now_ns) for _ in range(VARIANTS)]
     chosen = random.integers(VARIANTS, size=size.wheelsets)
-    mileages = np.round(random.uniform(20e3, 900e3, size.wheelsets), 1)
-    _register(storage, size, mileages, now_ns)
-    _store_history(storage, size, courses, chosen, mileages, now_ns)
-    _store_results(storage, size, courses, chosen, mileages, now_ns)
-    _store_alerts(storage, size, courses, chosen, now_ns)
+    drawn = _Drawn(size, courses, chosen, np.round(random.uniform(20e3, 900e3, size.wheelsets), 1), now_ns)
+    for store in (_register, _store_history, _store_results, _store_alerts):
+        store(storage, drawn)
     return time.perf_counter() - began
 
 
@@ -130,8 +143,8 @@ def _estimate(value: float) -> Estimate:
     return with_interval(value, STD, count=30.0)
 
 
-def _register(storage: SqlStorage, size: FleetSize, mileages: np.ndarray, now_ns: int) -> None:
-    from_ns = now_ns - size.days * DAY_NS
+def _register(storage: SqlStorage, drawn: _Drawn) -> None:
+    size = drawn.size
     with storage.write() as unit:
         for number in range(size.fleets):
             unit.registry.add_fleet(FleetRecord(f"F-{number:02d}", f"Fleet {number}"))
@@ -143,8 +156,8 @@ def _register(storage: SqlStorage, size: FleetSize, mileages: np.ndarray, now_ns
             for axle in range(1, AXLES + 1):
                 wheelset = number * AXLES + axle - 1
                 serial = size.serial(wheelset)
-                run = float(mileages[wheelset])
-                mounting = Mounting(serial, size.vehicle(number), axle, from_ns, None, run, run)
+                run = float(drawn.mileages[wheelset])
+                mounting = Mounting(serial, size.vehicle(number), axle, drawn.from_ns, None, run, run)
                 unit.registry.add_wheelset(WheelsetRecord(serial, fleet, "S1002", 0.46, mounting))
 
 
@@ -160,21 +173,15 @@ def _record(
     )
 
 
-def _store_history(
-    storage: SqlStorage,
-    size: FleetSize,
-    courses: list[_Course],
-    chosen: np.ndarray,
-    mileages: np.ndarray,
-    now_ns: int,
-) -> None:
+def _store_history(storage: SqlStorage, drawn: _Drawn) -> None:
     """Store the daily geometry of every wheelset: made once for each course, and copied for those that share it."""
+    size, chosen = drawn.size, drawn.chosen
     models = {int(course): int(np.argmax(chosen == course)) for course in np.unique(chosen)}
     with storage.write() as unit:
         for course, wheelset in models.items():
-            run, serial, records = float(mileages[wheelset]), size.serial(wheelset), []
-            for day, geometry in enumerate(courses[course].geometries):
-                at_ns = now_ns - (size.days - 1 - day) * DAY_NS
+            run, serial, records = float(drawn.mileages[wheelset]), size.serial(wheelset), []
+            for day, geometry in enumerate(drawn.courses[course].geometries):
+                at_ns = drawn.from_ns + (day + 1) * DAY_NS
                 records.append(_record(serial, day, run + KM_A_DAY * day, at_ns - DAY_NS, at_ns, geometry))
             unit.results.put_all(GEOMETRY, [result_of_geometry(record) for record in records])
     for wheelsets in _batches(size.wheelsets, 500):
@@ -199,31 +206,22 @@ def _batches(count: int, size: int) -> Iterator[range]:
         yield range(begin, min(count, begin + size))
 
 
-def _store_results(
-    storage: SqlStorage,
-    size: FleetSize,
-    courses: list[_Course],
-    chosen: np.ndarray,
-    mileages: np.ndarray,
-    now_ns: int,
-) -> None:
+def _store_results(storage: SqlStorage, drawn: _Drawn) -> None:
     """Store what the jobs would leave: the current geometry and the trend of each wheelset."""
+    size, now_ns = drawn.size, drawn.now_ns
     for wheelsets in _batches(size.wheelsets, 500):
         with storage.write() as unit:
             for wheelset in wheelsets:
-                course, run = courses[chosen[wheelset]], float(mileages[wheelset])
+                course, run = drawn.courses[drawn.chosen[wheelset]], float(drawn.mileages[wheelset])
                 serial, last_km = size.serial(wheelset), run + KM_A_DAY * (size.days - 1)
-                from_ns = now_ns - size.days * DAY_NS
-                put_geometry(unit, _record(serial, None, last_km, from_ns, now_ns, course.geometries[-1]))
+                put_geometry(unit, _record(serial, None, last_km, drawn.from_ns, now_ns, course.geometries[-1]))
                 trend = replace(course.trend, mileage_km=course.trend.mileage_km + run)
                 put_trend(unit, TrendRecord(serial, 0, trend, f"{wheelset:064x}", "bench", now_ns))
 
 
-def _store_alerts(
-    storage: SqlStorage, size: FleetSize, courses: list[_Course], chosen: np.ndarray, now_ns: int
-) -> None:
-    """Raise an alert for those of every few wheelsets that wear most, and acknowledge some."""
-    last = np.array([courses[one].trend.fitted.value for one in chosen])
+def _store_alerts(storage: SqlStorage, drawn: _Drawn) -> None:
+    size, now_ns = drawn.size, drawn.now_ns
+    last = np.array([drawn.courses[course].trend.fitted.value for course in drawn.chosen])
     worst = np.argsort(-last, kind="stable")[: size.wheelsets // WORST_OF]
     for number, wheelset in enumerate(worst):
         with storage.write() as unit:

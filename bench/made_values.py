@@ -1,4 +1,4 @@
-"""Windows and geometries that are made, not loaded or estimated."""
+"""Windows, alignments and geometries that are made, not loaded or estimated."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.track import TrackAlignment
 from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
 
 GOOD = WindowQuality(1.0, 0.0, 0, 0.0, 0.0, 5.0, 25.0, 1.0, sensor_fault=False)
@@ -36,6 +37,12 @@ def made_window(
         **dict(zip(ACCELERATIONS, values.T, strict=True)),
     }
     return Window(wheelset=wheelset, start_ns=start_ns, sample_interval_s=interval_s, **(fields | others))
+
+
+def made_alignment(s: FloatArray, alignment: FloatArray, std: float | FloatArray, section: str = "S") -> TrackAlignment:
+    """Return what is on file of a section at places (n,), m: its alignment with this std, m, and its nominal gauge."""
+    zero = np.zeros(len(s))
+    return TrackAlignment(section, 1, s, alignment, zero + std, zero, zero, zero.astype(np.int64), Status.ESTIMATED)
 
 
 def made_geometry(

@@ -170,8 +170,6 @@ def _thresholds(entries: Sequence[dict[str, Any]], only: str) -> list[Mutant]:
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where an operator applies."""
-
     operator: Operator
     occurrence: int
     line: int  # from 1

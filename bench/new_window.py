@@ -20,11 +20,11 @@ from api.pipeline import job_context
 from api.settings import Settings
 from bench.counting import asked, run
 from bench.report import BenchRow, RowBench
-from bench.wheelset_year import SERIAL, At, Original, WheelsetYear
+from bench.standing_clock import StandingClock
+from bench.wheelset_year import SERIAL, Original, WheelsetYear
 from estimation.jobs.catalogue import job_named
 from estimation.values.geometry import GEOMETRY
 from estimation.values.runs import JobTrigger
-from fleet_db.migrate import upgrade
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.geometries import INTERVALS
@@ -39,14 +39,10 @@ START = table_of(WindowRow).c.start_ns
 
 def rows() -> Iterator[BenchRow]:
     """Yield CPU time, statements and peak memory of the jobs that follow a new window."""
-    from bench.wheelset_recording import recorded  # noqa: PLC0415 - not in the process that is measured: it has no simulator
+    from bench.wheelset_recording import recorded_year  # noqa: PLC0415 - not in the process that is measured: it has no simulator
 
     with tempfile.TemporaryDirectory() as folder:
-        settings = Settings(data_dir=Path(folder), database_url=None, _env_file=None)
-        upgrade(settings.url)
-        with closing(open_store(settings)) as storage:
-            context = job_context(settings, storage)
-            year = WheelsetYear(context, storage, recorded(context, storage, settings))
+        with recorded_year(Path(folder)) as year:
             year.put(1, DAYS)
         command = [sys.executable, "-m", "bench.new_window", folder]
         done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603 - this program
@@ -83,7 +79,7 @@ def measured(settings: Settings) -> dict[str, object]:
             year.originals = [_original(storage, start_ns)]  # one at a time: the jobs have none of them in memory
             with storage.write() as unit:
                 at_ns = year.put_window(unit, 1, number).record.start_ns
-            at = replace(context, clock=At(at_ns))
+            at = replace(context, clock=StandingClock(at_ns))
             for name in JOBS:
                 began = time.process_time()
                 with asked() as found:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,7 +11,7 @@ from playwright.sync_api import Browser, CDPSession, Page, sync_playwright
 
 from bench.api import filled_database, served
 from bench.large_fleet import FleetSize
-from bench.report import BenchRow, ended, printed, row_table
+from bench.report import BenchRow, ended, options_of, printed, row_table
 from tests.page.chromium import chromium
 
 CONTENT_S, SENT_KB, FRAME_MS = 1.0, 500.0, 50.0
@@ -65,7 +64,6 @@ def visited(browser: Browser, address: str) -> Iterator[tuple[Page, Visit]]:
 
 
 def _counted(session: CDPSession) -> Mapping[str, int]:
-    """Return what every request receives, as it comes in."""
     names: dict[str, str] = {}
     sent: dict[str, int] = {}
 
@@ -117,14 +115,16 @@ def _frames(page: Page) -> list[float]:
     return [float(one) for one in page.evaluate("window.seen.frames")]
 
 
+OPTIONS = {
+    "vehicles": (1000, "of 4 wheelsets each"),
+    "days": (30, "of daily geometry, which the overview does not read"),
+    "loads": (9, "cold loads"),
+}
+
+
 def main(arguments: Sequence[str]) -> int:
     """Fill a database, visit, print and write the page; return 1 where a figure falls short."""
-    parser = argparse.ArgumentParser("python -m bench page", description=__doc__)
-    parser.add_argument("--vehicles", type=int, default=1000, help="of 4 wheelsets each")
-    parser.add_argument("--days", type=int, default=30, help="of daily geometry, which the overview does not read")
-    parser.add_argument("--loads", type=int, default=9, help="cold loads")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/results/page.md")
-    options = parser.parse_args(arguments)
+    options = options_of("page", __doc__ or "", OPTIONS, arguments)
     size = FleetSize(vehicles=options.vehicles, days=options.days)
     with filled_database("sqlite", size) as (folder, _, key), served(folder, None) as url, _browser() as browser:
         token = key.removeprefix("Authorization: Bearer ")

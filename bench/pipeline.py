@@ -44,7 +44,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 
 from api.comparison.trial import Recorded, opened, receive
 from api.terminal.processes import executor_of
-from bench.counting import run
+from bench.counting import run_all
 from bench.measuring import INGEST, Stages, every, exponent, resident_of, tree
 from bench.report import BenchRow, RowBench, say
 from bench.small_fleets import (
@@ -58,7 +58,6 @@ from bench.small_fleets import (
     small_fleet,
     workload,
 )
-from estimation.jobs.catalogue import ALL_JOBS
 from fleet_db.storage import SqlStorage
 from ingest.frames import take
 from ingest.logs import read_log, write_blf
@@ -138,7 +137,6 @@ FEWEST_RUNS = FIRST_RUNS + 2
 
 
 def _pipeline(options: argparse.Namespace, folder: Path) -> Iterator[BenchRow]:
-    """Yield what each stage costs per wheelset-hour, frames per second, and the ratio to the rival."""
     for chunk_s in options.chunk:
         for surveyed in (False, True):
             track = "surveyed" if surveyed else "unsurveyed"
@@ -210,8 +208,7 @@ def _measured(load: Workload, folder: Path) -> tuple[Stages, int]:
 
     with opened(settings) as (storage, context), ExitStack() as stack:
         assert isinstance(storage, SqlStorage)
-        for job in ALL_JOBS:
-            run(job, context)
+        run_all(context)
         stack.enter_context(every(0.05, look))
         stages.measure(storage, context, settings, load.recorded)
     return stages, largest[0]
@@ -221,18 +218,15 @@ def _beside_workers_s(load: Workload, folder: Path) -> float:
     """Return the CPU time that this process spends on the same jobs where two workers do the units, s."""
     settings = load.copy(folder).model_copy(update={"workers": CORES})
     with opened(settings) as (_, context):
-        for job in ALL_JOBS:
-            run(job, context)
+        run_all(context)
         receive(load.recorded, settings)
         with executor_of(settings) as executor:
             begin_s = time.process_time()
-            for job in ALL_JOBS:
-                run(job, replace(context, executor=executor))
+            run_all(replace(context, executor=executor))
             return time.process_time() - begin_s
 
 
 def _fleet_sizes(options: argparse.Namespace, folder: Path) -> Iterator[BenchRow]:
-    """Yield what a window costs in fleets of different sizes, and the exponents."""
     load, sizes = workload(folder / "load", 1, options.minutes), sorted(options.vehicles)
     found = []
     for vehicles in sizes:
@@ -258,14 +252,12 @@ def _of_fleet(folder: Path, load: Workload, vehicles: int) -> Stages:
     put_copies_into(settings, model, [code_of(number) for number in range(vehicles)])
     recorded = Recorded(copies(folder / "recordings", path.read_bytes(), vehicles), load.received.data_dir)
     with opened(settings) as (storage, context):
-        for job in ALL_JOBS:
-            run(job, context)
+        run_all(context)
         stages.measure(storage, context, settings, recorded)
     return stages
 
 
 def _section_runs(options: argparse.Namespace, folder: Path) -> Iterator[BenchRow]:
-    """Yield estimations per window, and how the cost of a window grows with the runs."""
     if options.vehicles * options.campaigns < FEWEST_RUNS:
         raise SystemExit(f"{FEWEST_RUNS} journeys of all vehicles or more are needed for an exponent")
     found = []

@@ -74,14 +74,10 @@ def _p95(errors: Sequence[float]) -> float:
 
 def _summary(results: Results) -> Rows:
     rows: Rows = []
-    for anchor in HOLD:
-        cases = _held_by(results, anchor)
-        if cases:
-            rows += _reached(anchor, cases)
-    for anchor in HOLD:
-        cases = _held_by(results, anchor, "drawn")
-        if cases:
-            rows += _reached(f"{anchor}, drawn vehicles", cases)
+    for kind, vehicles in (("exact", ""), ("drawn", ", drawn vehicles")):
+        for anchor in HOLD:
+            cases = _held_by(results, anchor, kind)
+            rows += _reached(f"{anchor}{vehicles}", cases) if cases else []
     today = _blamed(_held_by(results, KNOWN), "today")
     if today:
         rows.append(("today: wheelset's mean error, 95 %", f"{_p95(today):.4f}", "", ""))
@@ -143,7 +139,6 @@ def _figures(errors: Sequence[Error]) -> tuple[str, str]:
 
 
 def _findings(results: Results) -> Rows:
-    """Return what is said of worn and of unworn sections."""
     rows: Rows = []
     for anchor in (*HOLD, NONE):
         sections = [one for case in _held_by(results, anchor) for one in case["sections"] if one["section"] != "S0"]

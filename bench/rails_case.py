@@ -35,6 +35,7 @@ from estimation.storage import Storage, UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import SECTION_RAILS, WHEELSET_RAILS
 from estimation.values.quantities import Estimate
+from estimation.values.reasons import code_of
 from estimation.values.units import DAY_NS
 from ingest.simulator.axle_motion import rails_of, section_at, truth_of, wear_at, worn_contact
 from ingest.simulator.drawn_fleet import with_seed
@@ -195,7 +196,6 @@ def whole_fleet(sections: Sequence[BenchSection], measured: int = 0) -> Scenario
 
 
 def _stored(unit: UnitOfWork, sections: Sequence[BenchSection]) -> Scored:
-    """Return what the jobs have stored, beside the truth."""
     amplitude = np.array(AMPLITUDES)
     of_sections = []
     for one in sections:
@@ -210,7 +210,7 @@ def _stored(unit: UnitOfWork, sections: Sequence[BenchSection]) -> Scored:
                 "reference": None if part is None else part.reference,
                 "true_excess": (true - reference_wheel(sections[0].scenario, amplitude)).tolist(),
                 "wheel": [] if part is None or found is None else _errors(found.amplitude, part.reference_wheel, true),
-                "refused": [] if part is None else [_code(one) for one in part.reference_wheel],
+                "refused": [] if part is None else [str(code_of(one.reason) or "") for one in part.reference_wheel],
             }
         )
     wheelsets = []
@@ -243,10 +243,6 @@ def _errors(
         else:
             errors.append((float(one.value - truth), one.std, bool(one.low <= truth <= one.high)))
     return errors
-
-
-def _code(one: Estimate) -> str:
-    return "" if one.reason is None else str(one.reason.code)
 
 
 def _true_wheels(sections: Sequence[BenchSection], amplitude: FloatArray) -> dict[str, FloatArray]:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.made_values import made_window
+from bench.made_values import made_alignment, made_window
 from bench.scores import Compared, compared_at
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.model_fit import check_radius, rolling_radius
@@ -131,8 +131,9 @@ def simulated(seed: int, campaigns: int, **fixed: str) -> RefusalCase:
             windows[place] += _windows(place, values, run.start_ns, float(record.t[1]), run.speed[::stride], at)
     truths = [true_geometry(scenario, plan.wheelsets[axle], one) for axle, one in zip(axles, contacts, strict=True)]
     conicity = tuple(np.interp(AMPLITUDES, one.amplitude, one.equivalent_conicity) for one in truths)
-    offsets = tuple(plan.axle_offsets[axle] for axle in axles)
-    return RefusalCase(drawn, tuple(map(tuple, windows)), offsets, vehicle_class, _on_file(scenario), conicity)
+    offsets, survey = tuple(plan.axle_offsets[axle] for axle in axles), surveyed(scenario, track)
+    on_file = made_alignment(survey.s, survey.alignment, scenario.section.survey_alignment_std)
+    return RefusalCase(drawn, tuple(map(tuple, windows)), offsets, vehicle_class, on_file, conicity)
 
 
 def _windows(
@@ -189,13 +190,6 @@ def _scenario(drawn: Mapping[str, str], seed: int, campaigns: int) -> Scenario:
 def _vibration(drawn: Mapping[str, str]) -> str:
     size = float(drawn["vibration"])
     return f"axle_box_vibration_m_s2 = {size:g}\naxle_box_vibration_rad_s2 = {0.5 * size:g}\n" if size else ""
-
-
-def _on_file(scenario: Scenario) -> TrackAlignment:
-    found = surveyed(scenario, scenario_track(scenario))
-    zero = np.zeros(len(found.s))
-    std = zero + scenario.section.survey_alignment_std
-    return TrackAlignment("S", 1, found.s, found.alignment, std, zero, zero, zero.astype(np.int64), Status.ESTIMATED)
 
 
 class OnFile(StrEnum):
@@ -267,7 +261,6 @@ def registered(vehicle_class: VehicleClass, on_file: OnFile) -> VehicleClass:
 
 
 def _measured(windows: Sequence[Sequence[Window]], on_file: OnFile) -> list[list[Window]]:
-    """Return what arrives of the nodes."""
     found = [list(of_axle) for of_axle in windows]
     if on_file is OnFile.EXCHANGED:
         names = ("lateral_acceleration", "yaw_acceleration", "roll_acceleration", "mass_lateral_acceleration")

@@ -102,26 +102,34 @@ def ended(parts: Iterable[Part], name: str, title: str, command: str | None) -> 
     return 0 if all(table.met for table in tables) else 1
 
 
+Options = Mapping[str, tuple[Any, str]]
+"""Default and help by name; a list takes several values."""
+
+
+def options_of(bench: str, about: str, known: Options, arguments: Sequence[str]) -> argparse.Namespace:
+    """Return the options of a bench, and whether it writes its page."""
+    parser = argparse.ArgumentParser(prog=f"python -m bench {bench}", description=about)
+    for name, (default, words) in known.items():
+        several = isinstance(default, list)
+        kind, count = type(default[0] if several else default), "+" if several else None
+        parser.add_argument(f"--{name}", type=kind, nargs=count, default=default, help=f"{words} ({default})")
+    parser.add_argument("--write-docs", action="store_true", help=f"write docs/results/{bench}.md too")
+    return parser.parse_args(arguments)
+
+
 @dataclass(frozen=True, slots=True)
 class RowBench:
-    """A bench that measures rows once; ``options`` has default and help by name, lists take several values."""
+    """A bench that measures rows once."""
 
     name: str
     title: str
     about: str
     rows: Callable[[argparse.Namespace, Path], Iterator[BenchRow]]
-    options: Mapping[str, tuple[Any, str]] = field(default_factory=dict)
+    options: Options = field(default_factory=dict)
 
     def run(self, arguments: Sequence[str]) -> int:
         """Measure in an empty folder, print, and return 1 where a row falls short."""
-        parser = argparse.ArgumentParser(prog=f"python -m bench {self.name}", description=self.about)
-        for name, (default, about) in self.options.items():
-            several = isinstance(default, list)
-            kind = type(default[0] if several else default)
-            about = f"{about} ({default})"  # noqa: PLW2901 - the whole of it
-            parser.add_argument(f"--{name}", type=kind, nargs="+" if several else None, default=default, help=about)
-        parser.add_argument("--write-docs", action="store_true", help=f"write docs/results/{self.name}.md too")
-        options = parser.parse_args(arguments)
+        options = options_of(self.name, self.about, self.options, arguments)
         with tempfile.TemporaryDirectory(prefix=f"treadwatch-{self.name}-") as folder:
             rows = printed(self.rows(options, Path(folder)))
         command = " ".join(["python -m bench", self.name, *arguments]) if options.write_docs else None

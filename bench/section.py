@@ -88,7 +88,6 @@ def _is_due(row: str, seed: int, drawn: bool, done: Collection[Key]) -> bool:  #
 
 
 def _sharing(rows: Sequence[str], seed: int) -> list[list[str]]:
-    """Return the rows in groups that share one simulation."""
     groups: dict[str, list[str]] = {}
     for row in rows:
         groups.setdefault(recording_key(row_scenario(row, seed, drawn=False)), []).append(row)

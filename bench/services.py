@@ -126,17 +126,13 @@ class DaskCluster:
     def start_scheduler(self) -> None:
         """Start the scheduler and wait until it answers."""
         options = ["--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard"]
-        self._start("scheduler", [sys.executable, "-m", "distributed.cli.dask_scheduler", *options])
-        until = time.monotonic() + START_S
-        while not _answers(self.port):
-            assert time.monotonic() < until, self.log("scheduler")
-            time.sleep(0.05)
+        self._start("scheduler", ["-m", "distributed.cli.dask_scheduler", *options])
+        assert until(lambda: _listens(self.port), START_S) is not None, self.log("scheduler")
 
     def start_workers(self, count: int, name: str = "workers", **others: str) -> None:
         """Start workers, as ``treadwatch worker`` does."""
-        command = "import sys; sys.argv[0] = 'treadwatch'; from api.cli import main; main()"
         options = ["worker", "--dask-scheduler", self.address, "--workers", str(count)]
-        self._start(name, [sys.executable, "-c", command, *options], others)
+        self._start(name, ["-c", COMMAND, *options], others)
 
     def kill(self, name: str) -> None:
         """Kill the scheduler, or all workers with the process that replaces them."""
@@ -148,12 +144,9 @@ class DaskCluster:
         """Return what the scheduler, or the workers, have written."""
         return (self.folder / f"{name}.log").read_text(errors="replace")
 
-    def _start(self, name: str, command: list[str], others: Mapping[str, str] | None = None) -> None:
+    def _start(self, name: str, arguments: list[str], others: Mapping[str, str] | None = None) -> None:
         environment = {**self.environment, **(others or {})}
-        with (self.folder / f"{name}.log").open("ab") as log:
-            self.running[name] = subprocess.Popen(  # noqa: S603 - our own commands
-                command, env=environment, stdout=log, stderr=log, start_new_session=True
-            )
+        self.running[name] = started_program(arguments, environment, self.folder / f"{name}.log")
 
 
 @contextmanager
@@ -161,7 +154,7 @@ def dask_cluster(settings: Settings, folder: Path, workers: int) -> Iterator[Das
     """Yield a running cluster for a deployment, and end it."""
     folder.mkdir(parents=True, exist_ok=True)
     environment = {**environment_of(settings), "TMPDIR": str(folder)}
-    cluster = DaskCluster(environment, folder, _free_port())
+    cluster = DaskCluster(environment, folder, free_port())
     try:
         cluster.start_scheduler()
         cluster.start_workers(workers)
@@ -171,13 +164,7 @@ def dask_cluster(settings: Settings, folder: Path, workers: int) -> Iterator[Das
             cluster.kill(name)
 
 
-def _free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
-
-
-def _answers(port: int) -> bool:
+def _listens(port: int) -> bool:
     try:
         socket.create_connection(("127.0.0.1", port), timeout=1.0).close()
     except OSError:

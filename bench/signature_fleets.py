@@ -164,16 +164,13 @@ def simulated(seed: int, folder: Path | None = None) -> Simulated:
     made = fleet(Plan(), seed)
     others = foreign(made.tracks, tracks(Plan().others, seed, Plan().sections), seed)
     passes, tamped = retracked(made, seed)
-    found = Simulated(_bare(made), _bare(fleet(SPEEDS, seed)), others, tuple(passes), frozenset(tamped))
+    # tracks are large
+    main, speeds = (replace(each, tracks={}) for each in (made, fleet(SPEEDS, seed)))
+    found = Simulated(main, speeds, others, tuple(passes), frozenset(tamped))
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(pickle.dumps(found))
     return found
-
-
-def _bare(made: SimulatedFleet) -> SimulatedFleet:
-    """Return a fleet without its tracks, which are large."""
-    return replace(made, tracks={})
 
 
 PENALTIES = 10.0 ** np.arange(-3, 4)

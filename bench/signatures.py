@@ -10,7 +10,9 @@ from __future__ import annotations
 import argparse
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import fields, replace
+from functools import reduce
 from itertools import pairwise
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -50,13 +52,7 @@ def summary(cases: Sequence[Case]) -> Iterator[BenchRow]:
 
 
 def _pooled(cases: Sequence[Case], *keys: str) -> list[dict[str, Any]]:
-    found = []
-    for case in cases:
-        value: Any = case
-        for key in keys:
-            value = value[key]
-        found += value
-    return found
+    return [answer for case in cases for answer in reduce(getitem, keys, case)]
 
 
 def rows_of(cases: Sequence[Case], kind: str, place: str, name: str) -> Iterator[BenchRow]:
@@ -143,7 +139,6 @@ def _rival_row(cases: Sequence[Case], rival: str) -> BenchRow:
 
 
 def _foreign_rows(cases: Sequence[Case]) -> Iterator[BenchRow]:
-    """Yield what is said of wheels and rails that the library does not have."""
     answers = _pooled(cases, "foreign")
     for kind in KINDS_FOREIGN:
         mine = [one for one in answers if one["kind"] == kind]
@@ -248,7 +243,7 @@ def _answers(
 ) -> list[dict[str, Any]]:
     found = []
     for one in passes:
-        signatures = one.signatures if placed else tuple(_without_place(item) for item in one.signatures)
+        signatures = one.signatures if placed else tuple(replace(item, place=None) for item in one.signatures)
         answer = judged(one.wheelset.serial, signatures, known, parameters)
         conicity = answer.conicity
         item: dict[str, Any] = {"condition": one.wheelset.condition, "truth": one.wheelset.conicity}
@@ -286,15 +281,10 @@ def _of_any_track(
 
 
 def _foreign(passes: Sequence[Foreign], known: Library, parameters: SignatureParameters) -> list[dict[str, Any]]:
-    """Return what is said of wheels and rails that the library does not have."""
     stayed = [(one.kind, one.made) for one in passes if one.made is not None]
     answers = _answers([made for _, made in stayed], known, parameters)
     left = [{"kind": one.kind, "reason": "no signatures"} for one in passes if one.made is None]
     return left + [{"kind": kind} | answer for (kind, _), answer in zip(stayed, answers, strict=True)]
-
-
-def _without_place(item: Signature) -> Signature:
-    return replace(item, place=None)
 
 
 def _rival(made: SimulatedFleet, *, linear: bool) -> dict[str, list[tuple[float, float]]]:

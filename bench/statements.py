@@ -17,13 +17,11 @@ from pathlib import Path
 from api.factory import open_store, raw_store
 from api.pipeline import job_context
 from api.settings import Settings
-from bench.counting import asked, run
 from bench.digests import SCENARIOS
-from bench.measuring import INGEST
+from bench.measuring import INGEST, Stages
 from bench.report import BenchRow, RowBench
 from bench.small_fleets import code_of, copies, put_copies
 from bench.standing_clock import StandingClock
-from estimation.jobs.catalogue import ALL_JOBS
 from estimation.values.units import DAY_NS
 from fleet_db.migrate import upgrade
 from fleet_db.storage import SqlStorage
@@ -48,25 +46,16 @@ class Deployment:
     storage: SqlStorage
     clock: StandingClock
 
-    def receive(self, recordings: Sequence[tuple[str, Path]]) -> int:
-        """Receive recordings of vehicles; return the number of statements."""
-        receiver = Receiver(
-            self.storage, raw_store(self.settings), default_catalogue(), self.clock, window_length_s=WINDOW_S
-        )
-        with asked() as found:
+    def next_day(self, recordings: Sequence[tuple[str, Path]]) -> Counts:
+        """Receive recordings of vehicles and run all jobs; return the statements of ingest and of each job."""
+        self.clock.at_ns += DAY_NS
+        raw, stages = raw_store(self.settings), Stages()
+        receiver = Receiver(self.storage, raw, default_catalogue(), self.clock, window_length_s=WINDOW_S)
+        with stages.stage(INGEST):
             for vehicle, path in recordings:
                 receiver.receive_file(path, vehicle)
-        return found.statements
-
-    def run_jobs(self) -> dict[str, int]:
-        """Run all jobs; return the number of statements of each."""
-        context = replace(job_context(self.settings, self.storage), clock=self.clock)
-        found = {}
-        for job in ALL_JOBS:
-            with asked() as counted:
-                run(job, context)
-            found[job.name] = counted.statements
-        return found
+        stages.run_jobs(replace(job_context(self.settings, self.storage), clock=self.clock))
+        return stages.statements
 
 
 def simulated(folder: Path, days: int) -> FleetReport:
@@ -97,8 +86,7 @@ def of_fleet(folder: Path, report: FleetReport, vehicles: int) -> Counts:
     with closing(deployment.storage):
         put_copies(deployment.storage, model.vehicle, [code_of(number) for number in range(vehicles)])
         sent = copies(folder / "recordings", model.path.read_bytes(), vehicles)
-        deployment.clock.at_ns += DAY_NS
-        return {INGEST: deployment.receive(sent)} | deployment.run_jobs()
+        return deployment.next_day(sent)
 
 
 def of_one_more(counts: Mapping[int, Counts]) -> dict[str, float]:
@@ -110,13 +98,9 @@ def of_one_more(counts: Mapping[int, Counts]) -> dict[str, float]:
 
 def of_days(folder: Path, report: FleetReport) -> list[Counts]:
     """Return the statements of ingest and of each job, of each day."""
-    deployment, found = deployed(folder, report), []
+    deployment = deployed(folder, report)
     with closing(deployment.storage):
-        for recording in report.recordings:
-            deployment.clock.at_ns += DAY_NS
-            received = deployment.receive([(recording.vehicle, recording.path)])
-            found.append({INGEST: received} | deployment.run_jobs())
-    return found
+        return [deployment.next_day([(recording.vehicle, recording.path)]) for recording in report.recordings]
 
 
 def is_flat(of_job: Sequence[int]) -> bool:

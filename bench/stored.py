@@ -13,19 +13,14 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import closing
 from pathlib import Path
 
-from api.factory import open_store
-from api.pipeline import job_context
-from api.settings import Settings
 from bench.report import BenchRow, RowBench
-from bench.wheelset_recording import recorded
-from bench.wheelset_year import HOURS_A_DAY, SERIAL, WINDOWS_A_DAY, WheelsetYear
+from bench.wheelset_recording import recorded_year
+from bench.wheelset_year import HOURS_A_DAY, SERIAL, WINDOWS_A_DAY
 from fleet_db.keeping.purge import purge
 from fleet_db.keeping.retention import Retention
 from fleet_db.keeping.stored_bytes import database_size
-from fleet_db.migrate import upgrade
 from fleet_db.packed_values import pack_geometry
 from fleet_db.raw import FileRawStore
 from fleet_db.storage import SqlStorage
@@ -47,18 +42,13 @@ Bytes = Mapping[str, float]
 
 def rows() -> Iterator[BenchRow]:
     """Yield the bytes of a wheelset and year by kind, before and after the purge."""
-    with tempfile.TemporaryDirectory() as folder:
-        settings = Settings(data_dir=Path(folder), database_url=None, _env_file=None)
-        upgrade(settings.url)
-        with closing(open_store(settings)) as storage:
-            context = job_context(settings, storage)
-            year = WheelsetYear(context, storage, recorded(context, storage, settings))
-            end_ns = year.put(1, DAYS - DAYS_AFTER)
-            before, geometry = _bytes(storage, Retention(every_estimate=None)), _current(storage)
-            cpu_s = _purge(storage, end_ns)
-            _purge(storage, year.put(DAYS - DAYS_AFTER + 1, DAYS))
-            after, same = _bytes(storage, Retention()), geometry <= _current(storage)
-            young = _of_the_last_days(storage)
+    with tempfile.TemporaryDirectory() as folder, recorded_year(Path(folder)) as year:
+        storage, end_ns = year.storage, year.put(1, DAYS - DAYS_AFTER)
+        before, geometry = _bytes(storage, Retention(every_estimate=None)), _current(storage)
+        cpu_s = _purge(storage, end_ns)
+        _purge(storage, year.put(DAYS - DAYS_AFTER + 1, DAYS))
+        after, same = _bytes(storage, Retention()), geometry <= _current(storage)
+        young = _of_the_last_days(storage)
     yield from _report(before, after, young, same=same)
     yield BenchRow("purge of the year", f"{cpu_s:.1f} CPU s", "", met=True)
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bench.made_values import made_alignment
 from bench.scores import compared_at
 from bench.survey_fleets import AMPLITUDES, Fleet, drawn_track
 from estimation.filters import high_pass, local_cubic_kernel, valid_support
@@ -83,8 +84,7 @@ def on_file(fleet: Fleet, plan: SurveyPlan, seed: int) -> TrackAlignment:
         white = np.random.default_rng([seed, 3501]).standard_normal(len(s))
         error = plan.std * np.convolve(white, window / np.sqrt((window**2).sum()), mode="same")
         d = plan.scale * np.interp(s - plan.shift, source.s, source.alignment) + error
-    std, zero, passes = np.full(len(s), stated, dtype=np.float64), np.zeros(len(s)), np.zeros(len(s), dtype=np.int64)
-    return TrackAlignment("S", 1, s, d, std, zero, zero, passes, Status.ESTIMATED)
+    return made_alignment(s, d, np.nan if stated is None else stated)
 
 
 def moved(fleet: Fleet, position_std: float, seed: int) -> Fleet:

@@ -106,8 +106,6 @@ class Fleet:
 
 @dataclass(frozen=True, slots=True)
 class _Vehicle:
-    """A vehicle with two bogies, or two wheelsets."""
-
     code: str
     gear: RunningGear
     serials: Sequence[str]

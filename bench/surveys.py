@@ -123,11 +123,7 @@ def rows_of(cases: Sequence[Case], key: str) -> list[tuple[str, ...]]:
                 f"{mine.count} of {asked}",
                 *mine.cells[1:],
                 *(_millimetres(members, name) for name in ("alignment_error", "alignment_std")),
-                *(
-                    ("", "", "")
-                    if not filed.count
-                    else (f"{filed.error:.4f}", f"{filed.score:.4f}", f"{filed.cover:.3f}")
-                ),
+                *(filed.cells[place] for place in (1, 4, 5)),  # error, interval score, coverage
             )
         )
     return found
@@ -192,7 +188,6 @@ def paired(cases: Sequence[Case], others: Mapping[Any, Case], name: str) -> tupl
 
 
 def _against_none(cases: Sequence[Case], name: str) -> Iterator[BenchRow]:
-    """Yield the comparison with the same fleets without a survey, over the numbers that both publish."""
     none = {(case["row"], case["seed"]): case for case in cases if case["survey"] == "none"}
     honest = {key: case["rival"] for key, case in none.items() if case["rival"] is not None}
     mine = [case for case in cases if case["survey"] == name and case["positions"] == USUAL]

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from api.factory import SystemClock, raw_store
+from api.comparison.trial import Recorded, opened, receive
 from api.settings import Settings
-from bench.wheelset_year import SERIAL, Original
+from bench.wheelset_year import SERIAL, Original, WheelsetYear
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.values.runs import JobTrigger
+from fleet_db.migrate import upgrade
 from fleet_db.storage import SqlStorage
-from ingest.catalogue import default_catalogue
-from ingest.receiver import Receiver
 from ingest.registry_file import load_registry
 from ingest.simulator.fleet import run_fleet
 from ingest.simulator.scenario_file import load_scenario
@@ -34,11 +34,8 @@ def recorded(context: JobContext, storage: SqlStorage, settings: Settings) -> Se
         report = run_fleet(plan, Path(folder), workers=1)
         with storage.write() as unit:
             load_registry(report.registry, unit, 1)
-        receiver = Receiver(
-            storage, raw_store(settings), default_catalogue(), SystemClock(), window_length_s=settings.window_length_s
-        )
-        for recording in report.recordings:
-            receiver.receive_file(recording.path, recording.vehicle)
+        sent = tuple((recording.vehicle, recording.path) for recording in report.recordings)
+        receive(Recorded(sent, report.truth), settings)
     for name in ("refresh_alignment", "estimate_windows"):
         run_job(job_named(name), context, JobTrigger.CLI)
     with storage.read() as unit:
@@ -48,3 +45,12 @@ def recorded(context: JobContext, storage: SqlStorage, settings: Settings) -> Se
         ]
     assert found, "no window of the recording was estimated"
     return found
+
+
+@contextmanager
+def recorded_year(folder: Path) -> Iterator[WheelsetYear]:
+    """Yield a new deployment in a folder which has received them, for a year that is put then."""
+    settings = Settings(data_dir=folder, database_url=None, _env_file=None)
+    upgrade(settings.url)
+    with opened(settings) as (storage, context):
+        yield WheelsetYear(context, storage, recorded(context, storage, settings))

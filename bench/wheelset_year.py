@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from sqlalchemy import update
 
 from bench.put_values import put_table
+from bench.standing_clock import StandingClock
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.values.geometry import BinTable
@@ -55,7 +56,7 @@ class WheelsetYear:
         for day in range(first, last + 1):
             at_ns = self._put_day(day)
             if day % DAYS_A_RUN == 0 or day == last:
-                at = replace(self.context, clock=At(at_ns))
+                at = replace(self.context, clock=StandingClock(at_ns))
                 for name in ("refresh_geometry", "refresh_trends"):
                     run_job(job_named(name), at, JobTrigger.CLI)
         with self.storage.write() as unit:  # the age of windows is counted from the newest recording
@@ -91,14 +92,3 @@ class WheelsetYear:
         unit.windows.mark(SERIAL, start_ns, WindowState.ESTIMATED)
         unit.tracks.put_positions([WindowPosition(SERIAL, start_ns, record.content_digest, one.version)])
         return EpochMember(record, "c" * 64, "a" * 64)
-
-
-@dataclass(frozen=True, slots=True)
-class At:
-    """A clock that stands."""
-
-    at_ns: int
-
-    def now_ns(self) -> int:
-        """Return the time, ns UTC."""
-        return self.at_ns

@@ -73,10 +73,10 @@ def sha256_of(path: Path) -> str:
 def unlink_old(path: Path, least_age_s: float) -> int | None:
     """Delete a file unless it was written or used again less than this age ago; return its size, None if it stays."""
     try:
-        found = path.stat()
-        if found.st_mtime > time.time() - least_age_s:
+        status = path.stat()
+        if status.st_mtime > time.time() - least_age_s:
             return None
         path.unlink()
     except FileNotFoundError:
         return None
-    return found.st_size
+    return status.st_size

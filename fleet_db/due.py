@@ -34,7 +34,6 @@ from sqlalchemy import (
     union_all,
     update,
 )
-from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.opinions import CREEP
 from estimation.values.quantities import Status
@@ -42,7 +41,7 @@ from estimation.values.runs import FAILED, Due, Facet, Mark, StageInputs, Subjec
 from estimation.values.signatures import OF_OTHERS, SIGNATURES
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import DueStage, WindowKey, WindowState, key_of_text, text_of_key
-from fleet_db.rows import by_wheelset, reason_columns, table_of
+from fleet_db.rows import batches, by_wheelset, equal, given, insert_of, reason_columns, table_of
 from fleet_db.subjects import REGISTRY_VERSION, ReadOnce, Subjects
 from fleet_db.tables.track import (
     TrackAlignmentRow,
@@ -54,6 +53,7 @@ from fleet_db.tables.track import (
 from fleet_db.tables.windows import PENDING, WearSignatureRow, WindowAdhesionRow, WindowDueRow, WindowRow
 
 DUE, WINDOWS = table_of(WindowDueRow), table_of(WindowRow)
+WINDOW_KEY = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns)
 OF_WINDOWS = table_of(WearSignatureRow)
 SAME_WINDOW = and_(OF_WINDOWS.c.wheelset == WINDOWS.c.wheelset, OF_WINDOWS.c.start_ns == WINDOWS.c.start_ns)
 OF_CREEP = table_of(WindowAdhesionRow)
@@ -69,7 +69,6 @@ NOT_LOOKED_AT = and_(
     ~_LOOKED_AT.exists(),
 )
 """Condition on estimated windows on a section whose creep, of these samples, has not been looked at."""
-BATCH = 500  # keys in a statement
 OF_SAMPLES = (SIGNATURES, DueStage.TABLES, DueStage.MILEAGES)
 """Stages that read samples, or what is stored with them."""
 POSITIONS, ALIGNMENTS, VERSIONS = table_of(WindowPositionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)
@@ -103,17 +102,16 @@ class WindowDueStore:
 
     def of_section(self, stage: str, section: str, until_ns: int | None = None) -> Mapping[WindowKey, int]:
         """Return the due windows of a section, up to a start, with their versions."""
-        statement = select(DUE).where(DUE.c.stage == stage, DUE.c.section == section)
-        if until_ns is not None:
-            statement = statement.where(DUE.c.start_ns <= until_ns)
+        of_section = [*equal(DUE, stage=stage, section=section), *given(until_ns, DUE.c.start_ns.__le__)]
+        statement = select(DUE).where(*of_section)
         return {(row.wheelset, row.start_ns): row.version for row in self.connection.execute(statement)}
 
     def settle_all(self, stage: str, seen: Mapping[WindowKey, int]) -> None:
         """Remove windows that are of the versions that were seen: those that were listed again since stay due."""
         names = ("of_stage", "of_wheelset", "of_start_ns", "of_version")
         if seen:
-            given = [dict(zip(names, (stage, *key, version), strict=True)) for key, version in sorted(seen.items())]
-            self.connection.execute(_settled(), given)
+            rows = [dict(zip(names, (stage, *key, version), strict=True)) for key, version in sorted(seen.items())]
+            self.connection.execute(_settled(), rows)
 
     def due(self, inputs: StageInputs, keys: Collection[str] | None = None) -> Mapping[str, Due]:
         """Return the windows, some or all, that are due by key as text, in the order of vehicle, time and wheelset."""
@@ -123,8 +121,7 @@ class WindowDueStore:
             ready = or_(DUE.c.section.not_in(_aligned_by_fleet()), PLACED, WINDOWS.c.state.is_(None))
             statement = statement.outerjoin(WINDOWS, is_same).where(ready)
         if keys is not None:
-            own = tuple_(DUE.c.wheelset, DUE.c.start_ns)
-            statement = statement.where(own.in_([key_of_text(key) for key in keys]))
+            statement = statement.where(tuple_(DUE.c.wheelset, DUE.c.start_ns).in_([key_of_text(key) for key in keys]))
         rows = self.connection.execute(statement.order_by(DUE.c.vehicle, DUE.c.start_ns, DUE.c.wheelset))
         return {text_of_key(row.wheelset, row.start_ns): Due(row.version, registry=row.registry) for row in rows}
 
@@ -183,9 +180,8 @@ def _let_wait(connection: Connection, chosen: ColumnElement[bool]) -> None:
 def _list_keys(
     connection: Connection, stages: Sequence[str], keys: Sequence[WindowKey], *, raised: bool = True
 ) -> None:
-    for first in range(0, len(keys), BATCH):
-        own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys[first : first + BATCH])
-        chosen = and_(own, WINDOWS.c.samples_purged_ns.is_(None))
+    for some in batches(keys):
+        chosen = and_(WINDOW_KEY.in_(some), WINDOWS.c.samples_purged_ns.is_(None))
         connection.execute(_listed(connection.dialect.name, stages, chosen, raised=raised))
 
 
@@ -196,15 +192,13 @@ def estimated(connection: Connection, keys: Sequence[WindowKey], tabled: Collect
         tabled: Those that are listed to be summed as well.
     """
     to_sum = set(tabled)
-    for first in range(0, len(keys), BATCH):
-        some = keys[first : first + BATCH]
-        own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(some)
-        summed = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_([key for key in some if key in to_sum])
+    for some in batches(keys):
+        summed = WINDOW_KEY.in_([key for key in some if key in to_sum])
         lacked = [code.value for code in OF_OTHERS]
         signed = select(OF_WINDOWS.c.places).where(SAME_WINDOW, OF_WINDOWS.c.reason_code.in_(lacked))
         lacking = and_(NAMED.in_([SIGNATURES]), WINDOWS.c.samples_purged_ns.is_(None), signed.exists())
         looked_at = and_(NAMED.in_([CREEP]), NOT_LOOKED_AT)
-        chosen = and_(own, or_(lacking, looked_at, and_(NAMED.in_([DueStage.SUMS]), summed)))
+        chosen = and_(WINDOW_KEY.in_(some), or_(lacking, looked_at, and_(NAMED.in_([DueStage.SUMS]), summed)))
         connection.execute(_listed(connection.dialect.name, (SIGNATURES, CREEP, DueStage.SUMS), chosen))
 
 
@@ -230,15 +224,13 @@ def _listed(dialect: str, stages: Sequence[str], chosen: ColumnElement[bool], *,
         .where(chosen)
         .order_by(NAMED, WINDOWS.c.wheelset, WINDOWS.c.start_ns)  # one order of row locks
     )
-    new = (postgresql.insert if dialect == "postgresql" else sqlite.insert)(DUE).from_select(columns, windows)
-    if not raised:
-        return new.on_conflict_do_nothing(index_elements=list(DUE.primary_key))
-    again = {
-        "version": DUE.c.version + 1,
-        "vehicle": new.excluded.vehicle,
-        "section": new.excluded.section,
-    }
-    return new.on_conflict_do_update(index_elements=list(DUE.primary_key), set_=again)
+    new = insert_of(dialect, DUE).from_select(columns, windows)
+    again = {"version": DUE.c.version + 1, "vehicle": new.excluded.vehicle, "section": new.excluded.section}
+    key = list(DUE.primary_key)
+    listed: Insert = new.on_conflict_do_nothing(index_elements=key)
+    if raised:
+        listed = new.on_conflict_do_update(index_elements=key, set_=again)
+    return listed
 
 
 @cache
@@ -275,9 +267,8 @@ OF_EPOCH = (MEMBERS.c.section, MEMBERS.c.epoch)
 def list_for_alignment(subjects: Subjects, sections: Mapping[WindowKey, str | None]) -> None:
     """List windows (by key, with their section or None) that are new or others now; after they are stored."""
     keys = sorted(key for key, section in sections.items() if section is not None)
-    for first in range(0, len(keys), BATCH):
-        own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys[first : first + BATCH])
-        list_due(subjects.connection, DueStage.ALIGNMENT, own)
+    for some in batches(keys):
+        list_due(subjects.connection, DueStage.ALIGNMENT, WINDOW_KEY.in_(some))
     raise_sections(subjects, sections.values())
 
 
@@ -291,24 +282,24 @@ def windows_left(subjects: Subjects, keys: Sequence[WindowKey]) -> None:
     """Let epochs be computed again whose windows are gone or on another section; after these are."""
     elsewhere = WINDOWS.c.track_section.is_distinct_from(MEMBERS.c.section)
     held = select(*OF_EPOCH).select_from(MEMBERS.outerjoin(WINDOWS, OF_WINDOW)).where(elsewhere).distinct()
-    ordered, epochs = sorted(keys), set[tuple[str, int]]()
-    for first in range(0, len(ordered), BATCH):
-        own = tuple_(MEMBERS.c.wheelset, MEMBERS.c.start_ns).in_(ordered[first : first + BATCH])
-        epochs.update((row.section, row.epoch) for row in subjects.connection.execute(held.where(own)))
+    epochs = set[tuple[str, int]]()
+    for some in batches(sorted(keys)):
+        of_windows = held.where(tuple_(MEMBERS.c.wheelset, MEMBERS.c.start_ns).in_(some))
+        epochs.update((row.section, row.epoch) for row in subjects.connection.execute(of_windows))
     stale_epochs(subjects, sorted(epochs))
 
 
 def positions_forgotten(subjects: Subjects, chosen: ColumnElement[bool]) -> None:
     """Let epochs be computed again that have found where some windows were; before that is forgotten."""
     placed = MEMBERS.join(POSITIONS, PLACED_MEMBER).join(WINDOWS, OF_WINDOW)
-    found = subjects.connection.execute(select(*OF_EPOCH).select_from(placed).where(chosen).distinct())
-    stale_epochs(subjects, [(row.section, row.epoch) for row in found])
+    epochs = subjects.connection.execute(select(*OF_EPOCH).select_from(placed).where(chosen).distinct())
+    stale_epochs(subjects, [(row.section, row.epoch) for row in epochs])
 
 
 def stale_epochs(subjects: Subjects, epochs: Sequence[tuple[str, int]]) -> None:
     """Let epochs be computed again, each by section and number."""
     if epochs:
-        own = tuple_(EPOCHS.c.section, EPOCHS.c.number).in_(sorted(epochs))
-        subjects.connection.execute(update(EPOCHS).where(own).values(stale=True))
+        of_epochs = tuple_(EPOCHS.c.section, EPOCHS.c.number).in_(sorted(epochs))
+        subjects.connection.execute(update(EPOCHS).where(of_epochs).values(stale=True))
     for section in {section for section, _ in epochs}:
         subjects.raised(SubjectKind.SECTION, section, Facet.WINDOWS)

@@ -90,23 +90,23 @@ def _shuffled(array: Array) -> bytes:
     return little.view(np.uint8).reshape(-1, little.itemsize).T.tobytes()
 
 
-def _arrays(body: bytes, at: int, described: list[list[Any]]) -> dict[str, Array]:
-    found: dict[str, Array] = {}
+def _arrays(body: bytes, place_in_body: int, described: list[list[Any]]) -> dict[str, Array]:
+    arrays: dict[str, Array] = {}
     for name, code, shape in described:
         dtype: np.dtype[Any] = DTYPES[code]
         count = math.prod(shape)
         size = count * dtype.itemsize
-        raw = np.frombuffer(body, np.uint8, size, at)
+        raw = np.frombuffer(body, np.uint8, size, place_in_body)
         numbers = np.empty((count, dtype.itemsize), np.uint8)
         for place, one_byte in enumerate(raw.reshape(dtype.itemsize, count)):  # a fifth of what transposing takes
             numbers[:, place] = one_byte
         array = numbers.reshape(-1).view(dtype).reshape(shape)
         array.flags.writeable = False
-        found[name] = array
-        at += size
-    if at != len(body):
-        raise ValueError(f"{len(body) - at} bytes left over")
-    return found
+        arrays[name] = array
+        place_in_body += size
+    if place_in_body != len(body):
+        raise ValueError(f"{len(body) - place_in_body} bytes left over")
+    return arrays
 
 
 V = TypeVar("V")
@@ -151,9 +151,9 @@ def to_json(item: object) -> JsonValue:
     if isinstance(item, float):
         return float(item).hex()
     if isinstance(item, Mapping):
-        return {str(name): to_json(one) for name, one in item.items()}
+        return {str(name): to_json(part) for name, part in item.items()}
     if isinstance(item, tuple | list):
-        return [to_json(one) for one in item]
+        return [to_json(part) for part in item]
     raise TypeError(f"{type(item).__name__} has no place in a packed value")
 
 
@@ -167,7 +167,7 @@ def _reader(hint: Hashable) -> Callable[[Any], Any]:
     """Return what reads fields of a type; made once, because to ask a type for its parts takes longer than to read."""
     origin, parts = get_origin(hint), get_args(hint)
     if origin in {Union, types.UnionType}:
-        (read,) = (_reader(one) for one in parts if one is not types.NoneType)
+        (read,) = (_reader(part) for part in parts if part is not types.NoneType)
         return lambda stored: None if stored is None else read(stored)
     if origin is not None:
         return _collection_reader(origin, _reader(parts[0 if origin is tuple else 1]))
@@ -189,14 +189,14 @@ def _collection_reader(origin: object, read: Callable[[Any], Any]) -> Callable[[
         return tuple if origin is tuple else dict
     if origin is tuple:
         return lambda stored: tuple(map(read, stored))
-    return lambda stored: {name: read(one) for name, one in stored.items()}
+    return lambda stored: {name: read(item) for name, item in stored.items()}
 
 
 def _value_reader(kind: type[Any]) -> Callable[[Any], Any]:
-    readers = [_reader(one) for one in hints_of(cast("Hashable", kind)).values()]
+    readers = [_reader(field_hint) for field_hint in hints_of(cast("Hashable", kind)).values()]
 
     def read(stored: Any) -> Any:  # noqa: ANN401 - as ``from_json``
-        return kind(*[reader(one) for reader, one in zip(readers, stored, strict=True)])
+        return kind(*[reader(item) for reader, item in zip(readers, stored, strict=True)])
 
     return read
 

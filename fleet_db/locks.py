@@ -197,7 +197,7 @@ class UnendedLeases:
     def ended(self, leases: Sequence[UnendedLease]) -> None:
         """Forget those that have been ended."""
         with self._lock:
-            self._left = [one for one in self._left if one not in leases]
+            self._left = [lease for lease in self._left if lease not in leases]
 
 
 DECODING = 0x7472_6463  # "trdc": ours among the advisory locks of a database, one number a vehicle
@@ -243,7 +243,9 @@ def decoding_locks(engine: Engine, holder: str) -> Iterator[TryVehicle]:
     """Yield what locks a vehicle: decoding it twice would give the same, this only saves the work."""
     file = sqlite_file(engine)
     if file is not None:
-        yield partial(_file_lock, file)
+        yield lambda vehicle: locked_file(
+            file.with_name(f"{file.name}.decoding-{zlib.crc32(vehicle.encode()) % FILES:02d}")
+        )
         return
     with translate_errors(), postgresql_session(engine, holder) as session:
         yield partial(_advisory_lock, session)
@@ -261,10 +263,6 @@ def _answers(session: Connection) -> bool:
     except SQLAlchemyError:
         return False
     return True
-
-
-def _file_lock(file: Path, vehicle: str) -> AbstractContextManager[bool]:
-    return locked_file(file.with_name(f"{file.name}.decoding-{zlib.crc32(vehicle.encode()) % FILES:02d}"))
 
 
 @contextmanager

@@ -28,31 +28,31 @@ def check_head(engine: Engine) -> None:
     if file is not None and not file.exists():
         raise MigrationError(None, head())
     with translate_errors(), engine.connect() as connection:
-        found = revision_of(connection)
-    if found != head():
-        raise refusal(found)
+        revision = revision_of(connection)
+    if revision != head():
+        raise refusal(revision)
 
 
 def check_upgradable(connection: Connection) -> None:
     """Refuse a database that no upgrade leads from: from before the first release, or of a later version."""
-    found = revision_of(connection)
-    if found is not None and found not in known_revisions():
-        raise refusal(found)
+    revision = revision_of(connection)
+    if revision is not None and revision not in known_revisions():
+        raise refusal(revision)
 
 
-def refusal(found: str | None) -> MigrationError:
+def refusal(revision: str | None) -> MigrationError:
     """Return the refusal of a database that is not at the head, with what to do about it."""
-    if found is None or found in known_revisions():
-        return MigrationError(found, head())
-    return MigrationError(found, head(), FROM_BEFORE if BEFORE_FIRST_RELEASE.fullmatch(found) else FROM_LATER)
+    if revision is None or revision in known_revisions():
+        return MigrationError(revision, head())
+    return MigrationError(revision, head(), FROM_BEFORE if BEFORE_FIRST_RELEASE.fullmatch(revision) else FROM_LATER)
 
 
 def revision_of(connection: Connection) -> str | None:
     """Return the migration a database is at, None where it has none; several as one text, which no version knows."""
     if not inspect(connection).has_table(TABLE):
         return None
-    found = connection.execute(text(f"SELECT version_num FROM {TABLE}")).scalars()  # noqa: S608 - a constant
-    return ", ".join(sorted(map(str, found))) or None
+    revisions = connection.execute(text(f"SELECT version_num FROM {TABLE}")).scalars()  # noqa: S608 - a constant
+    return ", ".join(sorted(map(str, revisions))) or None
 
 
 def head() -> str:

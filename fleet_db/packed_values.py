@@ -98,8 +98,11 @@ def pack_alignment(alignment: TrackAlignment) -> bytes:
 def unpack_alignment(blob: bytes, version: int, *, where: str) -> TrackAlignment:
     """Return the alignment as ``version``, bit for bit; the same again is the same object, and so is what it gives."""
     scalars, arrays = unpack(blob, ALIGNMENT, where=where)
-    stored = scalars.get("findings")
-    findings = None if stored is None else _unpack_findings(stored, arrays)
+    stored, findings = scalars.get("findings"), None
+    if stored is not None:
+        stacked = [arrays.get(name, ()) for name in ("shift_difference", "shift_gauge", "shift")]
+        shifts = {name: GaugeShift(*parts) for name, *parts in zip(stored["gauge_shifts"], *stacked, strict=True)}
+        findings = value_of(TrackFindings, stored, {}, gauge_shifts=shifts)
     return value_of(TrackAlignment, scalars, arrays, version=version, findings=findings)
 
 
@@ -119,14 +122,6 @@ def _pack_findings(findings: TrackFindings) -> tuple[JsonValue, dict[str, Array]
         "shift_gauge": np.stack([item.gauge for item in shifts]),
         "shift": np.stack([item.shift for item in shifts]),
     }
-
-
-def _unpack_findings(stored: Mapping[str, Any], arrays: Mapping[str, Array]) -> TrackFindings:
-    shifts = {
-        name: GaugeShift(arrays["shift_difference"][k], arrays["shift_gauge"][k], arrays["shift"][k])
-        for k, name in enumerate(stored["gauge_shifts"])
-    }
-    return value_of(TrackFindings, stored, {}, gauge_shifts=shifts)
 
 
 def pack_wheel_pair(left: Profile, right: Profile) -> bytes:
@@ -198,7 +193,8 @@ def unpack_filled_cells(blob: bytes, *, where: str) -> FilledCells:
 
 def pack_rolling_sums(parts: Sequence[RollingSums]) -> bytes:
     """Return what a window says of its rolling radius as one blob."""
-    arrays = {name: np.array([getattr(one, name) for one in parts], dtype=np.float64) for name in ("products", "noise")}
+    names = ("products", "noise")
+    arrays = {name: np.array([getattr(part, name) for part in parts], dtype=np.float64) for name in names}
     return pack(ROLLING_SUMS, {}, arrays)
 
 
@@ -208,10 +204,10 @@ def unpack_rolling_sums(blob: bytes, *, where: str) -> tuple[RollingSums, ...]:
     return tuple(RollingSums(*both) for both in zip(arrays["products"], arrays["noise"], strict=True))
 
 
-def pack_window_adhesion(found: WindowAdhesion) -> bytes:
+def pack_window_adhesion(creep: WindowAdhesion) -> bytes:
     """Return the creep of a window as one blob."""
-    scalars, _ = fields_of(found, without={"sums"})
-    arrays = {} if found.sums is None else fields_of(found.sums)[1]
+    scalars, _ = fields_of(creep, without={"sums"})
+    arrays = {} if creep.sums is None else fields_of(creep.sums)[1]
     return pack(WINDOW_ADHESION, scalars, arrays)
 
 
@@ -222,14 +218,14 @@ def unpack_window_adhesion(blob: bytes, *, where: str) -> WindowAdhesion:
     return value_of(WindowAdhesion, scalars, {}, sums=sums)
 
 
-def pack_window_damper(found: WindowDamper) -> bytes:
+def pack_window_damper(damper: WindowDamper) -> bytes:
     """Return what a window says as one blob; the products are symmetric, and half of them is kept."""
-    scalars, _ = fields_of(found, without={"sums"})
-    if found.sums is None:
+    scalars, _ = fields_of(damper, without={"sums"})
+    if damper.sums is None:
         return pack(WINDOW_DAMPER, scalars, {})
-    products = found.sums.products
+    products = damper.sums.products
     rows, columns = np.tril_indices(products.shape[-1])
-    scalars |= {"samples": float(found.sums.samples).hex(), "curved": found.sums.curved}
+    scalars |= {"samples": float(damper.sums.samples).hex(), "curved": damper.sums.curved}
     return pack(WINDOW_DAMPER, scalars, {"products": products[:, rows, columns]})
 
 
@@ -248,21 +244,22 @@ def unpack_window_damper(blob: bytes, *, where: str) -> WindowDamper:
     return value_of(WindowDamper, scalars, {}, sums=sums)
 
 
-def pack_signatures(found: Sequence[Signature]) -> bytes:
+def pack_signatures(signatures: Sequence[Signature]) -> bytes:
     """Return the signatures of a window as one blob."""
-    if not found:
+    if not signatures:
         return pack(SIGNATURES, {}, {})
+    places = [signature.place for signature in signatures]
     scalars: dict[str, JsonValue] = {
-        "vehicle": found[0].vehicle,
-        "vehicle_class": found[0].vehicle_class,
-        "position": found[0].position.value,
-        "places": [None if one.place is None else [one.place.section, one.place.cell] for one in found],
+        "vehicle": signatures[0].vehicle,
+        "vehicle_class": signatures[0].vehicle_class,
+        "position": signatures[0].position.value,
+        "places": [None if place is None else [place.section, place.cell] for place in places],
     }
     arrays = {
-        "order": np.array([one.order for one in found], dtype=np.int64),
-        "speed": np.array([one.speed for one in found]),
-        "peak_wavelength": np.array([one.peak_wavelength for one in found]),
-        "spectra": np.stack([one.spectra for one in found]),
+        "order": np.array([signature.order for signature in signatures], dtype=np.int64),
+        "speed": np.array([signature.speed for signature in signatures]),
+        "peak_wavelength": np.array([signature.peak_wavelength for signature in signatures]),
+        "spectra": np.stack([signature.spectra for signature in signatures]),
     }
     return pack(SIGNATURES, scalars, arrays)
 
@@ -296,5 +293,4 @@ def to_document(row: WorklistRow) -> str:
 
 def from_document(document: str) -> WorklistRow:
     """Return the row of a JSON text that :func:`to_document` made."""
-    row: WorklistRow = from_json(orjson.loads(document), WorklistRow)
-    return row
+    return cast("WorklistRow", from_json(orjson.loads(document), WorklistRow))

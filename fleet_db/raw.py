@@ -44,11 +44,11 @@ class IncomingFile(AbstractContextManager["IncomingFile"]):
 
     def write(self, piece: bytes | bytearray) -> None:
         """Write the next piece. Raises PassingFaultError."""
-        with passing_faults(self._directory), memoryview(piece) as left:
+        with passing_faults(self._directory), memoryview(piece) as unwritten:
             file = self._file or self._made()
             written = 0
-            while written < len(left):
-                written += file.write(left[written:]) or 0
+            while written < len(unwritten):
+                written += file.write(unwritten[written:]) or 0
         self._hash.update(piece)
         self.size_bytes += len(piece)
 
@@ -235,10 +235,10 @@ def recording_name(digest: str, suffix: str) -> str:
     return f"{digest[:2]}/{digest}{suffix}"
 
 
-def check_size(found: int, size_bytes: int | None, place: Path | str) -> None:
+def check_size(size_found: int, size_bytes: int | None, place: Path | str) -> None:
     """Raise LostRecordingError where a recording has another size than it must have, if that is known."""
-    if size_bytes is not None and found != size_bytes:
-        raise LostRecordingError(f"has {found} bytes, not {size_bytes}", file=place)
+    if size_bytes is not None and size_found != size_bytes:
+        raise LostRecordingError(f"has {size_found} bytes, not {size_bytes}", file=place)
 
 
 class FileRawStore(RawStore):
@@ -320,8 +320,8 @@ class FileRawStore(RawStore):
     def listed(self) -> Iterator[RawItem]:
         """Yield every file below the folder, but for what is beside the recordings in the folder itself."""
         for path in self.directory.rglob("*"):
-            left = path.name.startswith(".")
-            if path.parent == self.directory and not left:
+            unfinished = path.name.startswith(".")
+            if path.parent == self.directory and not unfinished:
                 continue
             with passing_faults(path):
                 try:
@@ -329,7 +329,7 @@ class FileRawStore(RawStore):
                 except FileNotFoundError:
                     continue  # replaced or removed meanwhile
             if status is not None:
-                digest = "" if left else path.name.partition(".")[0]
+                digest = "" if unfinished else path.name.partition(".")[0]
                 yield RawItem(str(path), digest, status.st_size, status.st_mtime)
 
     def remove_old(self, item: RawItem, least_age_s: float) -> int | None:
@@ -378,11 +378,11 @@ LOOKED_FOR = 10  # so many of the oldest and of the newest receipts are looked f
 
 def check_raw_store(storage: SqlStorage, raw: RawStore, now_ns: int) -> str:
     """Return the mark of the raw store, made at its first use; PassingFaultError: it is not that of this database."""
-    found = raw.read_mark()
+    mark_found = raw.read_mark()
     with storage.read() as unit:
-        known = unit.raw_marks.get()
-        if found is not None and found == known:
-            return found
+        mark_known = unit.raw_marks.get()
+        if mark_found is not None and mark_found == mark_known:
+            return mark_found
         some = unit.chunks.ends(LOOKED_FOR)
         if some and not any(raw.holds(record.digest, record.suffix) for record in some):
             reason = (
@@ -391,9 +391,9 @@ def check_raw_store(storage: SqlStorage, raw: RawStore, now_ns: int) -> str:
             )
             raise PassingFaultError(reason, file=raw.url)
     with storage.write() as unit:
-        mark = found or unit.raw_marks.get() or uuid.uuid4().hex
+        mark = mark_found or unit.raw_marks.get() or uuid.uuid4().hex
         if unit.raw_marks.get() != mark:
             unit.raw_marks.set(mark, now_ns)
-    if found is None:
+    if mark_found is None:
         raw.write_mark(mark)
     return mark

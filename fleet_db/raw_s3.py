@@ -25,7 +25,7 @@ from fleet_db.raw import (
     check_size,
     recording_name,
 )
-from fleet_db.s3_bucket import PART_BYTES, ObjectFacts, S3Bucket
+from fleet_db.s3_bucket import PART_BYTES, S3Bucket
 
 AT_ONCE = 8  # recordings of one call that are sent at the same time
 MARK_BYTES = 100
@@ -94,8 +94,8 @@ class S3RawStore(RawStore):
     def listed(self) -> Iterator[RawItem]:
         """Yield every recording, and what killed processes left on this machine; not the objects of others."""
         with passing_faults(self.receiving):
-            left = [(path, path.stat()) for path in self.receiving.glob(f"{PREFIX}*") if path.is_file()]
-        for path, status in left:
+            unfinished = [(path, path.stat()) for path in self.receiving.glob(f"{PREFIX}*") if path.is_file()]
+        for path, status in unfinished:
             yield RawItem(str(path), "", status.st_size, status.st_mtime)
         for name, facts in self._bucket.listed():
             digest = _digest_in(name)
@@ -105,9 +105,9 @@ class S3RawStore(RawStore):
     def remove_old(self, item: RawItem, least_age_s: float) -> int | None:
         """Remove an object by its URL, or a file by its path."""
         if not item.digest:
-            left = Path(item.place)
-            with passing_faults(left):
-                return unlink_old(left, least_age_s)
+            unfinished = Path(item.place)
+            with passing_faults(unfinished):
+                return unlink_old(unfinished, least_age_s)
         name = item.place.removeprefix(self._bucket.url(""))
         facts = self._bucket.facts(name)
         if facts is None or facts.changed_s > time.time() - least_age_s:
@@ -150,7 +150,7 @@ class S3RawStore(RawStore):
     def _read_back(self, name: str, file: IncomingFile, tags: frozenset[str]) -> None:
         """Raise PassingFaultError unless the object is what was sent: by its ETag, or else by its content."""
         stored = self._bucket.facts(name)
-        if stored is not None and _is_sent(stored, file.size_bytes, tags):
+        if stored is not None and stored.size_bytes == file.size_bytes and stored.e_tag.lower() in tags:
             return
         fault = self.fault(file.digest, file.suffix, file.size_bytes)
         if fault is not None:  # it stays: another process may have put the same recording meanwhile
@@ -168,24 +168,20 @@ class S3RawStore(RawStore):
         if facts is None:
             raise self._missing(digest, suffix)
         check_size(facts.size_bytes, size_bytes, place)
-        found = hashlib.sha256()
+        sha256 = hashlib.sha256()
         try:
             for piece in self._bucket.pieces(name, facts):
-                found.update(piece)
+                sha256.update(piece)
                 yield piece
         except FileNotFoundError:
             raise LostRecordingError(MISSING, file=place) from None
-        if found.hexdigest() != digest:
+        if sha256.hexdigest() != digest:
             raise LostRecordingError(DAMAGED, file=place)
 
 
 def _digest_in(name: str) -> str | None:
-    found = _NAME.fullmatch(name)
-    return None if found is None or found[1] != found[2][:2] else found[2]
-
-
-def _is_sent(stored: ObjectFacts, size_bytes: int, tags: frozenset[str]) -> bool:
-    return stored.size_bytes == size_bytes and stored.e_tag.lower() in tags
+    form = _NAME.fullmatch(name)
+    return None if form is None or form[1] != form[2][:2] else form[2]
 
 
 def _tags_of(path: Path) -> frozenset[str]:

@@ -84,6 +84,19 @@ class RecordingChange:
     state_after: Annotated[ChunkState, Served("Its state after it.")]
 
 
+@dataclass(frozen=True, slots=True)
+class RawScrub:
+    """One reading: begin and end (ns of our clock; None while it is not whole), the last digest, and what was found."""
+
+    scrub_id: int
+    started_ns: int
+    finished_ns: int | None
+    after_digest: str
+    files: int
+    file_bytes: int
+    faults: int
+
+
 class RecordKind(StrEnum):
     """Records of the registry whose history is kept."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from enum import Enum
 from functools import cache
 from typing import Any, TypeVar, cast, get_args, get_origin
@@ -25,6 +25,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
+from estimation.errors import NotFoundError
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.fields import Members, hints_of
 from fleet_db.tables import Base
@@ -66,12 +67,12 @@ def _given(table: Table, key: Sequence[object]) -> dict[str, object]:
 def upsert(connection: Connection, table: Table, values: Mapping[str, Any]) -> bool:
     """Make the row with the primary key of ``values`` hold ``values``; return whether anything changed."""
     key = key_of(table, values)
-    found = connection.execute(_by_key(table), key).mappings().first()
-    if found is None and insert_new(connection, table, values):
+    stored = connection.execute(_by_key(table), key).mappings().first()
+    if stored is None and insert_new(connection, table, values):
         return True
-    if found is None:  # another transaction has stored it since the look-up
-        found = connection.execute(_by_key(table), key).mappings().one()
-    if all(found[name] == value for name, value in values.items()):
+    if stored is None:  # another transaction has stored it since the look-up
+        stored = connection.execute(_by_key(table), key).mappings().one()
+    if all(stored[name] == value for name, value in values.items()):
         return False
     replace(connection, table, values)
     return True
@@ -121,12 +122,25 @@ def on_sections(column: ColumnElement[str | None], sections: Collection[str]) ->
     return or_(named, column.is_(None)) if "" in sections else named
 
 
+def present(found: V | None, kind: str, key: object) -> V:
+    """Return what was found of a kind under a key; NotFoundError: nothing was."""
+    if found is None:
+        raise NotFoundError(kind, str(key))
+    return found
+
+
+def batches(items: Sequence[V], size: int = 500) -> Iterator[Sequence[V]]:
+    """Yield the items of a sequence, in their order, so many at once as a statement takes."""
+    for first in range(0, len(items), size):
+        yield items[first : first + size]
+
+
 def by_wheelset(rows: Iterable[Any], value: Callable[[Any], V]) -> dict[str, list[V]]:
     """Return the values of rows by their wheelset, in their order."""
-    found: dict[str, list[V]] = {}
+    values: dict[str, list[V]] = {}
     for row in rows:
-        found.setdefault(row.wheelset, []).append(value(row))
-    return found
+        values.setdefault(row.wheelset, []).append(value(row))
+    return values
 
 
 def null_if_nan(value: float | None) -> float | None:
@@ -144,23 +158,21 @@ def _by_key(table: Table) -> Select[Any]:
     return select(table).where(key_given(table))
 
 
+def insert_of(dialect: str, table: Table) -> Any:  # noqa: ANN401 - no class is of both
+    """Return the INSERT that can say what is done where its row is there."""
+    return (postgresql if dialect == "postgresql" else sqlite).insert(table)
+
+
 @cache
 def _insert_new(table: Table, dialect: str) -> Insert:
-    key = list(table.primary_key)
-    if dialect == "postgresql":
-        return (
-            postgresql.insert(table)
-            .on_conflict_do_nothing(index_elements=key)
-            .execution_options(preserve_rowcount=True)
-        )
-    return sqlite.insert(table).on_conflict_do_nothing(index_elements=key).execution_options(preserve_rowcount=True)
+    new: Insert = insert_of(dialect, table).on_conflict_do_nothing(index_elements=list(table.primary_key))
+    return new.execution_options(preserve_rowcount=True)
 
 
 @cache
 def _put(table: Table, names: tuple[str, ...], dialect: str) -> Insert:
     key = [column.name for column in table.primary_key]
-    new = (postgresql if dialect == "postgresql" else sqlite).insert(table)
-    new = new.values({name: bindparam(name, type_=table.c[name].type) for name in names})
+    new = insert_of(dialect, table).values({name: bindparam(name, type_=table.c[name].type) for name in names})
     changed = {name: new.excluded[name] for name in names if name not in key}
     stored: Insert = new.on_conflict_do_update(index_elements=key, set_=changed)
     return stored
@@ -213,7 +225,8 @@ def _column_readers(kind: Hashable) -> Mapping[str, Callable[[Any], Any] | None]
 
 
 def _column_reader(hint: Any) -> Callable[[Any], Any] | None:  # noqa: ANN401 - a type as it is declared
-    declared = next((part for part in get_args(hint) if part is not type(None)), hint) if _optional(hint) else hint
+    parts = get_args(hint)
+    declared = next((part for part in parts if part is not type(None)), hint) if type(None) in parts else hint
     plain = get_origin(declared) or declared
     if plain is Reason:
         return stored_reason
@@ -221,10 +234,6 @@ def _column_reader(hint: Any) -> Callable[[Any], Any] | None:  # noqa: ANN401 - 
         return None
     read = Members(plain).__getitem__ if issubclass(plain, Enum) else plain
     return lambda stored: None if stored is None else read(stored)
-
-
-def _optional(hint: Any) -> bool:  # noqa: ANN401 - the same
-    return type(None) in get_args(hint)
 
 
 def reason_columns(reason: Reason | None) -> dict[str, str | None]:

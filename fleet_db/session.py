@@ -168,10 +168,8 @@ def sqlite_file(engine: Engine) -> Path | None:
 def _sqlite_engine(url: URL) -> Engine:
     name = url.database or ""
     if not Path(name).is_absolute():
-        raise ParameterError(
-            f"names the SQLite file {name or ':memory:'!r}; an absolute path is needed (sqlite:////...)",
-            field="database_url",
-        )
+        reason = f"names the SQLite file {name or ':memory:'!r}; an absolute path is needed (sqlite:////...)"
+        raise ParameterError(reason, field="database_url")
     engine = sqlalchemy.create_engine(
         url.set(drivername="sqlite+pysqlite", query={}),
         connect_args={"timeout": BUSY_TIMEOUT_MS / 1000},
@@ -188,12 +186,8 @@ def reading_engine(engine: Engine) -> Engine:
     if engine.dialect.name != "sqlite":
         return engine
     reading = _sqlite_engine(engine.url)
-    event.listen(reading, "connect", _forbid_writing)
+    event.listen(reading, "connect", lambda connection, _: connection.execute("PRAGMA query_only = ON").close())
     return reading
-
-
-def _forbid_writing(connection: Any, _entry: ConnectionPoolEntry) -> None:  # noqa: ANN401 - the driver's own type
-    connection.execute("PRAGMA query_only = ON").close()
 
 
 def _prepare_sqlite(connection: Any, _entry: ConnectionPoolEntry) -> None:  # noqa: ANN401 - the driver's own type

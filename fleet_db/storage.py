@@ -282,38 +282,34 @@ class SqlStorage:
             LeaseLostError: In transactions of the storage: the lease has ended meanwhile.
             StorageError: The database cannot be reached.
         """
-        own = self.lease if self.owner is not None and owner in {None, self.owner} else None
-        left, unfenced = self.unended.left(), replace(self, lease=None, claims=None)
+        process = self.lease if self.owner is not None and owner in {None, self.owner} else None
+        unended, unfenced = self.unended.left(), replace(self, lease=None, claims=None)
         try:
             with unfenced.write() as writing:
                 writing.work_claims.bound(length_s)
-                for one in left:
-                    writing.work_claims.end_late(one)
-                lease = own or Lease(
+                for earlier in unended:
+                    writing.work_claims.end_late(earlier)
+                lease = process or Lease(
                     writing.work_claims.lease(holder, round(length_s * 1e9), owner, unit), holder, length_s
                 )
                 claimed = writing.work_claims.take(lease.number, stage, keys, alone=alone)
         except ConflictError:  # there is no lease of that number any more
             raise LeaseLostError(holder) from None
-        self.unended.ended(left)
+        self.unended.ended(unended)
         claims = Claims(stage, set(claimed.keys))
         try:
-            with nullcontext() if own else prolonged(partial(self._prolong, lease.number), length_s):
+            with nullcontext() if process else prolonged(partial(self._prolong, lease.number), length_s):
                 yield replace(self, lease=lease, claims=claims), claimed
         finally:
             try:
-                unfenced._end_claims(lease.number, claims, alone=own is None)  # noqa: SLF001 - of this class
+                if process is None or claims.keys:
+                    with unfenced.write() as writing:
+                        if process is None:
+                            writing.work_claims.end(lease.number)
+                        else:
+                            writing.work_claims.forget(lease.number, stage, claims.keys)
             except StorageError:  # out of reach
-                self.unended.add(UnendedLease(lease.number, stage, claimed.begun_ns, alone=own is None))
-
-    def _end_claims(self, lease: int, claims: Claims, *, alone: bool) -> None:
-        if not alone and not claims.keys:
-            return
-        with self.write() as unit:
-            if alone:
-                unit.work_claims.end(lease)
-            else:
-                unit.work_claims.forget(lease, claims.stage, claims.keys)
+                self.unended.add(UnendedLease(lease.number, stage, claimed.begun_ns, alone=process is None))
 
     def lease_lost(self) -> bool:
         """Return whether the lease of this storage has ended; StorageError: the database cannot be asked."""

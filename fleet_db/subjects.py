@@ -13,13 +13,12 @@ from functools import cache
 from typing import Any, TypeVar
 
 from sqlalchemy import ColumnElement, Connection, Insert, String, bindparam, cast, exists, func, select
-from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.opinions import GEAR_DAMPERS
 from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import SUSPENSION, TREND
 from estimation.worklist.stored import FACETS as SHOWN
-from fleet_db.rows import table_of
+from fleet_db.rows import insert_of, table_of
 from fleet_db.tables.alerts import FeedBranchRow
 from fleet_db.tables.operation import ResultRow, SubjectVersionRow
 from fleet_db.tables.registry import MountingRow
@@ -126,9 +125,9 @@ class Subjects:
         if vehicles:
             following.append(mounted.where(MOUNTINGS.c.vehicle.in_(sorted(vehicles))))
         if trends:
-            own = (BESIDE.c.wheelset.in_(sorted(trends)), BESIDE.c.to_ns.is_(None))
+            lasting = (BESIDE.c.wheelset.in_(sorted(trends)), BESIDE.c.to_ns.is_(None))
             same = (BESIDE.c.vehicle == MOUNTINGS.c.vehicle, BESIDE.c.wheelset != MOUNTINGS.c.wheelset)
-            following.append(mounted.where(WITH_STEP, exists().where(*own, *same)))
+            following.append(mounted.where(WITH_STEP, exists().where(*lasting, *same)))
         if any(kind == "section" and facet == Facet.REGISTRY for kind, _, facet in self._raised):
             following.append(mounted.where(WITH_STEP))
         for statement in following:
@@ -142,13 +141,27 @@ class Subjects:
             self.raised(SubjectKind.SECTION, section, Facet.REGISTRY)
 
 
+@dataclass(frozen=True, slots=True)
+class Store:
+    """What is stored of one subject, in one transaction."""
+
+    connection: Connection
+
+
+@dataclass(frozen=True, slots=True)
+class RaisingStore(Store):
+    """A store whose changes raise facets."""
+
+    subjects: Subjects
+
+
 @cache
 def _raise(dialect: str) -> Insert:
     names = ("kind", "subject", "facet")
     row = {**{name: bindparam(name) for name in names}, "version": 1}
-    insert = postgresql.insert if dialect == "postgresql" else sqlite.insert
-    raised = insert(VERSIONS).values(row)
-    return raised.on_conflict_do_update(index_elements=names, set_={"version": VERSIONS.c.version + 1})
+    new = insert_of(dialect, VERSIONS).values(row)
+    raised: Insert = new.on_conflict_do_update(index_elements=names, set_={"version": VERSIONS.c.version + 1})
+    return raised
 
 
 Key = TypeVar("Key", bound=Hashable)
@@ -167,12 +180,12 @@ class ReadOnce:
         self, kind: str, keys: Collection[Key], read: Callable[[Collection[Key]], Mapping[Key, Record]]
     ) -> dict[Key, Record]:
         """Return records by key, of which ``read`` reads those that are missing; a key without one is left out."""
-        known = self._of_kind(kind)
-        missing = [key for key in dict.fromkeys(keys) if key not in known]
+        records = self._of_kind(kind)
+        missing = [key for key in dict.fromkeys(keys) if key not in records]
         if missing:
-            found = read(missing)
-            known.update((key, found.get(key)) for key in missing)
-        return {key: known[key] for key in keys if known[key] is not None}
+            read_now = read(missing)
+            records.update((key, read_now.get(key)) for key in missing)
+        return {key: records[key] for key in keys if records[key] is not None}
 
     def renew(self, version: str | None) -> None:
         """Let what others have changed meanwhile be seen; a transaction that writes remembers nothing."""

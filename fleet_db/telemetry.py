@@ -154,6 +154,6 @@ def _quality(stored: Mapping[str, Any], hunting: Any, blows: Any) -> WindowQuali
     numbers: dict[str, Any] = {
         name: value if name in QUALITY_COUNTS else from_json(value, float) for name, value in stored.items()
     }
-    found: Hunting = NOT_HUNTING if hunting is None else from_json(hunting, Hunting)
+    hunted: Hunting = NOT_HUNTING if hunting is None else from_json(hunting, Hunting)
     struck: TurnBlows = NO_BLOWS if blows is None else from_json(blows, TurnBlows)
-    return WindowQuality(**numbers, hunting=found, blows=struck)
+    return WindowQuality(**numbers, hunting=hunted, blows=struck)

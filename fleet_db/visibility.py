@@ -34,13 +34,8 @@ def _among(column: ColumnElement[str], fleets: Fleets) -> ColumnElement[bool]:
     return column.in_(sorted(fleets))
 
 
-def _of_vehicle_before_and_after(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
-    before, after = (_in(one, _VEHICLES, "code", fleets) for one in (columns.vehicle_before, columns.vehicle_after))
-    return before & after
-
-
-def _of_both(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
-    return _of_wheelset(columns, fleets) & _of_vehicle(columns, fleets)
+def _both(first: Rule, second: Rule) -> Rule:
+    return lambda columns, fleets: first(columns, fleets) & second(columns, fleets)
 
 
 def _of_webhook(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
@@ -101,12 +96,12 @@ RULES: Mapping[str, Rule] = {
     "quarantine": _of_quarantined,
     "fleets": lambda columns, fleets: _among(columns.code, fleets),
     "alert_events": _naming("alert_id", _ALERTS, "alert_id"),
-    "recording_changes": _of_vehicle_before_and_after,
+    "recording_changes": _both(*(_naming(f"vehicle_{time}", _VEHICLES, "code") for time in ("before", "after"))),
     "results": _of_result,
     **dict.fromkeys(("vehicles", "wheelsets", "alerts", "worklist_entries"), _of_fleet),
     **dict.fromkeys(("chunks", "sensor_changes", "stale_spans", "track_epoch_vehicles"), _of_vehicle),
     **dict.fromkeys(("suspension_findings", "window_dampers"), _of_vehicle),
-    **dict.fromkeys(("mountings", "windows", "track_epoch_windows"), _of_both),
+    **dict.fromkeys(("mountings", "windows", "track_epoch_windows"), _both(_of_wheelset, _of_vehicle)),
     **dict.fromkeys(("reprofilings", "measured_profiles", "wheelset_bins", "worklist_alerts"), _of_wheelset),
     **dict.fromkeys(("window_bin_tables", "window_positions", "window_adhesion", "wear_signatures"), _of_wheelset),
     **dict.fromkeys(("rail_cells", "roll_ups", "roll_up_states", "rolling_sums"), _of_wheelset),
@@ -141,13 +136,14 @@ def bind(connection: Connection, fleets: Fleets) -> None:
 def narrowed(statement: Any, fleets: Fleets) -> Any:  # noqa: ANN401 - any statement
     """Return a statement that sees, also in subqueries, only these fleets; LookupError: a table not listed here."""
 
-    def narrow(found: Select[Any]) -> None:
+    def narrow(clone: Select[Any]) -> None:
         criteria = [
             _criterion(source, table, fleets, or_absent=or_absent)
-            for source, table, or_absent in _tables(found.get_final_froms())
+            for source, table, or_absent in _tables(clone.get_final_froms())
         ]
         # SQLAlchemy's way to visit clones: they are changed in place, where `where` would return another one
-        found._where_criteria += tuple(one for one in criteria if one is not None)  # noqa: SLF001 - the same
+        narrower = [criterion for criterion in criteria if criterion is not None]
+        clone._where_criteria += tuple(narrower)  # noqa: SLF001 - the same
 
     return visitors.cloned_traverse(statement, {}, {"select": narrow})
 

@@ -139,13 +139,13 @@ class Assembler:
     ) -> list[ChunkRecord]:
         """Return the receipts of all recordings that the windows of a vehicle in a span depend on."""
         decoded = unit.chunks.overlapping(vehicle, span[0] - CONTEXT_NS, span[1] + CONTEXT_NS)
-        found = {other.digest: other for other in (*decoded, *coming)}
-        for source in list(found.values()):
+        by_digest = {other.digest: other for other in (*decoded, *coming)}
+        for source in list(by_digest.values()):
             if not source.counts[OWN_TIME]:  # its place is known by those beside it
                 recorder_ns = source.counts[RECORDER_FIRST], source.counts[RECORDER_LAST]
                 beside = decoded_beside(unit, vehicle, source.digest, recorder_ns)
-                found |= {other.digest: other for other in beside}
-        return [found[digest] for digest in sorted(found)]
+                by_digest |= {other.digest: other for other in beside}
+        return [by_digest[digest] for digest in sorted(by_digest)]
 
     def assemble(
         self,

@@ -51,40 +51,20 @@ class RecordingCorrections:
     storage: SqlStorage
     clock: Clock
 
-    def retry(self, digest: str, author: Author, *, our_clock_was_behind: bool = False) -> ChunkRecord:
-        """Let a rejected recording, or one in quarantine, be decoded again; return its receipt.
-
-        The time of receipt stays. What was ahead of it remains so, however late it is tried again, unless our clock
-        was wrong then: the vehicle's is checked against that of now in this case.
-        """
-        return self._correct(digest, RecordingAction.RETRY, author, our_clock_was_behind=our_clock_was_behind)
-
-    def set_aside(self, digest: str, author: Author) -> ChunkRecord:
-        """Let a recording count for no window; return its receipt."""
-        return self._correct(digest, RecordingAction.SET_ASIDE, author)
-
-    def restore(self, digest: str, author: Author) -> ChunkRecord:
-        """Let a recording that was set aside count again; return its receipt."""
-        return self._correct(digest, RecordingAction.RESTORE, author)
-
-    def reassign(self, digest: str, vehicle: str, author: Author) -> ChunkRecord:
-        """Give a recording, which may stay set aside, to another vehicle; return its receipt."""
-        return self._correct(digest, RecordingAction.REASSIGN, author, vehicle)
-
     def delete(self, digest: str, author: Author, raw: RawStore) -> ChunkRecord:
         """Make everything as if a recording had never come; return its receipt, which stays and says so.
 
         Its raw file is removed; where that cannot be done now, the next purge removes it. Refused during a backup.
         """
         with keeping_alone(self.storage.engine):
-            record = self._correct(digest, RecordingAction.DELETE, author)
+            record = self.correct(digest, RecordingAction.DELETE, author)
             try:
                 raw.remove(record.digest, record.suffix)
             except PassingFaultError as error:
                 _log.warning("recording %s was deleted, its raw file is left to the purge: %s", record.digest, error)
         return record
 
-    def _correct(
+    def correct(
         self,
         digest: str,
         action: RecordingAction,
@@ -93,6 +73,11 @@ class RecordingCorrections:
         *,
         our_clock_was_behind: bool = False,
     ) -> ChunkRecord:
+        """Correct a recording; return its receipt. A vehicle is given where it is reassigned.
+
+        Its time of receipt stays. What was ahead of it remains so, however late it is tried again, unless our clock
+        was wrong then: the vehicle's is checked against that of now in this case.
+        """
         with self.storage.write() as unit:
             before = unit.chunks.receipt(digest)
             for code in sorted({before.vehicle, vehicle or before.vehicle}):
@@ -150,17 +135,17 @@ def _placed_by(unit: SqlUnitOfWork, record: ChunkRecord) -> Sequence[ChunkRecord
         for other in unit.chunks.overlapping(record.vehicle, *ALWAYS)
         if other.digest != record.digest and not other.counts.get(OWN_TIME, 1) and RECORDER_FIRST in other.counts
     ]
-    found: list[ChunkRecord] = []
+    placed: list[ChunkRecord] = []
     near = [record]
     while near:
-        one = near.pop()
-        if RECORDER_FIRST not in one.counts:
+        chunk = near.pop()
+        if RECORDER_FIRST not in chunk.counts:
             continue
-        ends = one.counts[RECORDER_FIRST], one.counts[RECORDER_LAST]
-        beside = [other for other in without if other not in found and is_beside(other, one.digest, ends)]
-        found += beside
+        ends = chunk.counts[RECORDER_FIRST], chunk.counts[RECORDER_LAST]
+        beside = [other for other in without if other not in placed and is_beside(other, chunk.digest, ends)]
+        placed += beside
         near += beside
-    return found
+    return placed
 
 
 def _conflict(record: ChunkRecord, why: str) -> ConflictError:

@@ -145,7 +145,7 @@ def _written(value: Any, metadata: tuple[object, ...]) -> JsonValue:  # noqa: AN
         return None
     if FileForm.MOMENT in metadata:
         return utc_text(value)
-    unit = next((one for one in metadata if isinstance(one, FileUnit)), None)
+    unit = next((mark for mark in metadata if isinstance(mark, FileUnit)), None)
     if unit is not None:
         return unit.write(value)
     return list(value) if isinstance(value, tuple) else value.value if isinstance(value, StrEnum) else value
@@ -168,7 +168,7 @@ def _columns(value_type: type, *, optional: bool = False) -> dict[str, Any]:
     hints, columns = get_type_hints(value_type, include_extras=True), dict[str, Any]()
     for item in fields(value_type):
         metadata = _metadata(hints[item.name])
-        inline = next((one for one in metadata if isinstance(one, Inline)), None)
+        inline = next((mark for mark in metadata if isinstance(mark, Inline)), None)
         key = _key(item.name, metadata)
         if inline is not None:
             columns |= _columns(inline.table, optional=item.default is None)
@@ -180,19 +180,19 @@ def _columns(value_type: type, *, optional: bool = False) -> dict[str, Any]:
 def _metadata(hint: Any) -> tuple[object, ...]:  # noqa: ANN401 - any type of a field
     """Return what is said of a field; of one that may be None, what is said of its value."""
     if get_origin(hint) in {Union, types.UnionType}:
-        return next((found for one in get_args(hint) if (found := _metadata(one))), ())
+        return next((marks for part in get_args(hint) if (marks := _metadata(part))), ())
     return get_args(hint)[1:] if get_origin(hint) is Annotated else ()
 
 
 def _key(name: str, metadata: tuple[object, ...]) -> str | None:
-    for one in metadata:
-        if isinstance(one, Key):
-            return one.name
-    return name + next((one.suffix for one in metadata if isinstance(one, FileUnit)), "")
+    for mark in metadata:
+        if isinstance(mark, Key):
+            return mark.name
+    return name + next((mark.suffix for mark in metadata if isinstance(mark, FileUnit)), "")
 
 
 def _default(item: Field[Any], key: str, metadata: tuple[object, ...], *, optional: bool) -> Any:  # noqa: ANN401 - as pydantic gives it
-    default = next((one.value for one in metadata if isinstance(one, FileDefault)), item.default)
+    default = next((mark.value for mark in metadata if isinstance(mark, FileDefault)), item.default)
     if item.default_factory is not MISSING:
         return pydantic.Field(alias=key, default_factory=item.default_factory)
     if default is not MISSING or optional:
@@ -217,13 +217,13 @@ def _in_file(hint: Any) -> Any:  # noqa: ANN401 - any type of a field
 
 
 def _inner(hint: Any, metadata: tuple[object, ...]) -> Any:  # noqa: ANN401 - any type of a field
-    for one in metadata:
-        if isinstance(one, As):
-            return Annotated[table_of(one.table, one.defaults), AfterValidator(_plan)]
-        if one is FileForm.CHOICE:
+    for mark in metadata:
+        if isinstance(mark, As):
+            return Annotated[table_of(mark.table, mark.defaults), AfterValidator(_plan)]
+        if mark is FileForm.CHOICE:
             return Annotated[Literal[tuple(map(str, hint))], AfterValidator(hint)]
-        if one in _TEXTS:
-            return _TEXTS[one]
+        if mark in _TEXTS:
+            return _TEXTS[mark]
     return _in_file(hint)
 
 
@@ -267,7 +267,7 @@ def _made(value_type: Any, content: dict[str, Any], given: frozenset[str]) -> An
     value = object.__new__(value_type)
     hints = get_type_hints(value_type, include_extras=True)
     for item in fields(value_type):
-        inline = next((one for one in _metadata(hints[item.name]) if isinstance(one, Inline)), None)
+        inline = next((mark for mark in _metadata(hints[item.name]) if isinstance(mark, Inline)), None)
         if inline is not None:
             made = _inline(inline.table, content, given)
         elif item.name in content:
@@ -286,10 +286,10 @@ def _made(value_type: Any, content: dict[str, Any], given: frozenset[str]) -> An
 
 
 def _inline(table: type, content: dict[str, Any], given: frozenset[str]) -> Any:  # noqa: ANN401 - whatever it stands for
-    own = _columns(table)
-    if any(content[name] is MISSING for name in own):
+    columns = _columns(table)
+    if any(content[name] is MISSING for name in columns):
         return None
-    value = _made(table, {name: content[name] for name in own}, given)
+    value = _made(table, {name: content[name] for name in columns}, given)
     return value.plan() if hasattr(value, "plan") else value
 
 

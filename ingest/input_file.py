@@ -127,7 +127,6 @@ Text = Annotated[FreeText, refusing(lambda text: not text.strip(), "must not be 
 Code = Annotated[Text, AfterValidator(_one_short_line)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
-IncreasingNumbers = Annotated[list[NotNegative], AfterValidator(increasing)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,10 +146,10 @@ class InputFile:
 
     def at(self, location: Location) -> Any:  # noqa: ANN401 - whatever the file holds there
         """Return what is at a place of the file."""
-        found: Any = self.values
+        value: Any = self.values
         for part in location:
-            found = found[part]
-        return found
+            value = value[part]
+        return value
 
     def parse(self, model: type[Model], location: Location = ()) -> Model:
         """Return the content, or what is at a place of it, as a model.
@@ -171,12 +170,11 @@ class InputFile:
         return []
 
     def _errors(self, error: ValidationError, model: type[BaseModel], location: Location) -> list[InputError]:
-        return [
-            self.error(
-                _reason(one, model, self.container), (*location, *one["loc"], *one.get("ctx", {}).get("location", ()))
-            )
-            for one in error.errors(include_url=False)
-        ]
+        errors = []
+        for detail in error.errors(include_url=False):
+            place = (*location, *detail["loc"], *detail.get("ctx", {}).get("location", ()))
+            errors.append(self.error(_reason(detail, model, self.container), place))
+        return errors
 
 
 def read_toml(path: Path, error_type: type[InputError] = InputError) -> InputFile:
@@ -268,9 +266,9 @@ _REASONS: Mapping[str, str] = {
 def _reason(error: ErrorDetails, model: type[BaseModel], container: str) -> str:
     if error["type"] == "extra_forbidden":
         for part in error["loc"][:-1]:
-            known = {item.alias or name: item for name, item in model.model_fields.items()}
-            if part in known:
-                model = _model_in(known[str(part)].annotation) or model
+            fields = {item.alias or name: item for name, item in model.model_fields.items()}
+            if part in fields:
+                model = _model_in(fields[str(part)].annotation) or model
         keys = sorted(item.alias or name for name, item in model.model_fields.items())
         return f"unknown key; known here: {', '.join(keys)}"
     sentence = _REASONS.get(error["type"])
@@ -283,4 +281,4 @@ def _model_in(annotation: object) -> type[BaseModel] | None:
     """Return the model that an annotation holds, as ``Model``, ``list[Model]`` or ``Model | None``."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next((found for item in get_args(annotation) if (found := _model_in(item))), None)
+    return next((nested for item in get_args(annotation) if (nested := _model_in(item))), None)

@@ -55,10 +55,10 @@ def without_odd_ones(t_ns: IntArray, vehicle_ns: IntArray, tolerance_ns: int) ->
 
 def believed(t_ns: IntArray, vehicle_ns: IntArray, tolerance_ns: int) -> BoolArray:
     """Return which TIME frames (n,) show where a recording is: those of runs; all where there is no run."""
-    found = np.zeros(len(t_ns), dtype=np.bool_)
+    credible = np.zeros(len(t_ns), dtype=np.bool_)
     for first, behind in runs_alike(t_ns, vehicle_ns, tolerance_ns):
-        found[first:behind] = behind - first >= FEWEST_ALIKE
-    return found if found.any() else np.ones(len(t_ns), dtype=np.bool_)
+        credible[first:behind] = behind - first >= FEWEST_ALIKE
+    return credible if credible.any() else np.ones(len(t_ns), dtype=np.bool_)
 
 
 def clock_verdict(first_ns: int, last_ns: int, received_ns: int) -> Reason | None:
@@ -85,11 +85,11 @@ STEPS = 2.0  # of the odometer, besides
 
 def possible_motion(values: FloatArray) -> FloatArray:
     """Return speed and odometer (n, 2) with NaN where no vehicle has such a one."""
-    found = values.copy()
+    possible = values.copy()
     with np.errstate(invalid="ignore"):
-        found[~(np.abs(found[:, 0]) <= MOST_SPEED), 0] = np.nan
-        found[~((found[:, 1] >= 0.0) & (found[:, 1] <= MOST_ODOMETER)), 1] = np.nan
-    return found
+        possible[~(np.abs(possible[:, 0]) <= MOST_SPEED), 0] = np.nan
+        possible[~((possible[:, 1] >= 0.0) & (possible[:, 1] <= MOST_ODOMETER)), 1] = np.nan
+    return possible
 
 
 def odometer_excess(tick: IntArray, values: FloatArray, interval_s: float, longest: int) -> float:
@@ -97,8 +97,8 @@ def odometer_excess(tick: IntArray, values: FloatArray, interval_s: float, longe
 
     Values (n, 2) are speed, m/s, and odometer, m; NaN where not known.
     """
-    known = ~np.isnan(values).any(axis=1)
-    at, (speed, odometer) = tick[known], values[known].T
+    complete = ~np.isnan(values).any(axis=1)
+    at, (speed, odometer) = tick[complete], values[complete].T
     near = np.diff(at) <= longest
     run = (0.5 * interval_s * np.diff(at) * (np.abs(speed[1:]) + np.abs(speed[:-1])))[near]
     steps = np.abs(np.diff(odometer))[near]
@@ -132,11 +132,11 @@ def off_line_m(line: SectionLine, distance: FloatArray, fixes: FloatArray) -> fl
     points = np.array(line, dtype=np.float64)
     points[:, 2] = np.unwrap(points[:, 2], period=360.0)
     with np.errstate(invalid="ignore"):
-        known = np.isfinite(fixes).all(axis=1) & (fixes != 0.0).any(axis=1)
-        known &= (distance >= points[0, 0]) & (distance <= points[-1, 0])
-    if np.count_nonzero(known) < FEWEST_FIXES:
+        near = np.isfinite(fixes).all(axis=1) & (fixes != 0.0).any(axis=1)
+        near &= (distance >= points[0, 0]) & (distance <= points[-1, 0])
+    if np.count_nonzero(near) < FEWEST_FIXES:
         return 0.0
-    pairs = zip(distance[known].tolist(), fixes[known], strict=True)
+    pairs = zip(distance[near].tolist(), fixes[near], strict=True)
     median = float(np.median([_from_line(points, at, fix) for at, fix in pairs]))
     return median if median > LIMIT_M else 0.0
 
@@ -196,12 +196,12 @@ def without_repeats(tick: IntArray, values: FloatArray, run: FloatArray) -> Floa
     repeated &= behind - begins > 1
     if not repeated.any():
         return values
-    found = values.copy()
+    cleaned = values.copy()
     for first, last in zip(begins[repeated], behind[repeated], strict=True):
-        found[first + 1 : last, DISTANCE] = _repeated_between(values, run, int(first), int(last))
+        cleaned[first + 1 : last, DISTANCE] = _repeated_between(values, run, int(first), int(last))
     if repeated[0]:
-        found[: behind[0], DISTANCE] = np.nan  # it may have been repeated before
-    return found
+        cleaned[: behind[0], DISTANCE] = np.nan  # it may have been repeated before
+    return cleaned
 
 
 def _repeated_between(values: FloatArray, run: FloatArray, first: int, behind: int) -> FloatArray:

@@ -75,8 +75,8 @@ class HeldRecordings:
 
     def _held(self, unit: SqlUnitOfWork) -> list[tuple[ChunkRecord, bool]]:
         now_ns = self.clock.now_ns()
-        found = [(unit.chunks.get(item.key), item) for item in unit.quarantine.held(STAGE)]
-        return [(record, item.waits(record.vehicle, now_ns)) for record, item in found if record is not None]
+        held = [(unit.chunks.get(item.key), item) for item in unit.quarantine.held(STAGE)]
+        return [(record, item.waits(record.vehicle, now_ns)) for record, item in held if record is not None]
 
     def release(self, digest: str) -> None:
         """End the quarantine of a recording, if it was in one."""
@@ -145,9 +145,9 @@ class LostRecordings:
                     with self.storage.write() as unit:
                         _hold(unit, record, fault, now_ns)
 
-    def _resolve(self, item: Quarantined, *found: ChunkRecord) -> None:
+    def _resolve(self, item: Quarantined, *chunks: ChunkRecord) -> None:
         with self.storage.write() as unit:
-            for record in found:
+            for record in chunks:
                 add_stale(unit, record, f"recording {record.digest[:12]}: {CAUSE}")
             unit.quarantine.put(resolved(item))
 

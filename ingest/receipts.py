@@ -61,8 +61,8 @@ class DeletedRecordings:
         if self.taken_by is not None:
             return None
         with self.storage.read() as unit:
-            found = unit.chunks.get(digest)
-        return found if found is not None and found.state is ChunkState.DELETED else None
+            record = unit.chunks.get(digest)
+        return record if record is not None and record.state is ChunkState.DELETED else None
 
     def admit(self, digest: str) -> None:
         """Refuse a recording that was deleted, before its bytes are stored."""
@@ -70,10 +70,10 @@ class DeletedRecordings:
         if deleted is not None:
             raise _refusal(deleted)
 
-    def refuse(self, found: ChunkRecord) -> None:
+    def refuse(self, record: ChunkRecord) -> None:
         """Refuse a recording whose receipt says that it was deleted, where that is not wanted again."""
-        if self.taken_by is None and found.state is ChunkState.DELETED:
-            raise _refusal(found)
+        if self.taken_by is None and record.state is ChunkState.DELETED:
+            raise _refusal(record)
 
     def take_again(self, unit: SqlUnitOfWork, deleted: ChunkRecord, record: ChunkRecord) -> None:
         """Put a new receipt in the place of that of a deleted recording, with its record."""
@@ -105,25 +105,25 @@ def enter_receipt(unit: SqlUnitOfWork, record: ChunkRecord, deleted: DeletedReco
     """Store the receipt of a recording, and return what stands there now, and whether it had been there before."""
     if unit.chunks.put(record):
         return record, False
-    found = unit.chunks.get(record.digest)
-    assert found is not None
-    if found.state is ChunkState.DELETED:
-        deleted.take_again(unit, found, record)
+    stored = unit.chunks.get(record.digest)
+    assert stored is not None
+    if stored.state is ChunkState.DELETED:
+        deleted.take_again(unit, stored, record)
         return record, False
-    if found.purged_ns is not None:  # its bytes are there again
-        found = replace(found, purged_ns=None)
-        unit.chunks.update(found)
+    if stored.purged_ns is not None:  # its bytes are there again
+        stored = replace(stored, purged_ns=None)
+        unit.chunks.update(stored)
         add_stale(
-            unit, found, f"recording {found.digest[:12]}: received again"
+            unit, stored, f"recording {stored.digest[:12]}: received again"
         )  # what changed meanwhile is not in them
-    return found, True
+    return stored, True
 
 
-def of_another_vehicle(found: ChunkRecord, vehicle: str, name: str) -> ConflictError:
+def of_another_vehicle(record: ChunkRecord, vehicle: str, name: str) -> ConflictError:
     """Return the refusal of a recording that another vehicle has sent."""
-    digest = found.digest
+    digest = record.digest
     reason = (
-        f"{name}: the same recording was received from vehicle {found.vehicle};"
+        f"{name}: the same recording was received from vehicle {record.vehicle};"
         f" where that is wrong: treadwatch recordings reassign {digest[:12]} --vehicle {vehicle}"
     )
     return ConflictError(reason, kind="chunk", key=digest)
@@ -206,13 +206,13 @@ class ChunkStorage:
                     continue
                 record = arrival.chunk.receipt(arrival.file.digest, arrival.file.size_bytes, now_ns)
                 try:
-                    found, known = enter_receipt(unit, record, self._deleted)
+                    stored, known = enter_receipt(unit, record, self._deleted)
                 except ConflictError as error:  # deleted a moment ago: what was placed is an orphan
                     answers[number] = error
                     continue
-                wrong = found.vehicle != record.vehicle
-                refusal = of_another_vehicle(found, record.vehicle, record.file_name or record.digest)
-                answers[number] = refusal if wrong else Stored(found, known)
+                wrong = stored.vehicle != record.vehicle
+                refusal = of_another_vehicle(stored, record.vehicle, record.file_name or record.digest)
+                answers[number] = refusal if wrong else Stored(stored, known)
         for answer in answers.values():
             if isinstance(answer, Stored):
                 self._announce(answer.record)
@@ -222,11 +222,11 @@ class ChunkStorage:
 
     def _refuse_deleted(self, arrivals: Sequence[Arrival], answers: dict[int, Stored | ConflictError]) -> None:
         with self._storage.read() as unit:
-            found = unit.chunks.of_digests([arrival.file.digest for arrival in arrivals])
+            records = unit.chunks.of_digests([arrival.file.digest for arrival in arrivals])
         for number, arrival in enumerate(arrivals):
-            if arrival.file.digest in found:
+            if arrival.file.digest in records:
                 try:
-                    self._deleted.refuse(found[arrival.file.digest])
+                    self._deleted.refuse(records[arrival.file.digest])
                 except ConflictError as error:
                     answers[number] = error
 

@@ -269,11 +269,11 @@ class Receiver:
         chunk = Chunk(vehicle, suffix, str(path), sender=None)
         record = replace(chunk.receipt(digest, self._raw.size(digest, suffix), self._clock.now_ns()), reason=None)
         with self._storage.write() as unit:
-            found, known = enter_receipt(unit, record, self._deleted)
-        if found.vehicle != vehicle:
-            raise of_another_vehicle(found, vehicle, str(path))
-        self._announce(found)
-        return found, known
+            stored, known = enter_receipt(unit, record, self._deleted)
+        if stored.vehicle != vehicle:
+            raise of_another_vehicle(stored, vehicle, str(path))
+        self._announce(stored)
+        return stored, known
 
     def _decode(self, record: ChunkRecord, recording: Recording | Exception) -> tuple[ChunkRecord, int]:
         if isinstance(recording, Exception):

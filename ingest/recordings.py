@@ -188,7 +188,7 @@ def _touch(first: Recording, second: Recording) -> bool:
     agree = offsets[0] <= others[1] + OFFSET_STEP_NS and others[0] <= offsets[1] + OFFSET_STEP_NS
     if agree:
         return True
-    parts = (between(one.batch, max(a, c), min(b, d) + 1) for one in (first, second))
+    parts = (between(recording.batch, max(a, c), min(b, d) + 1) for recording in (first, second))
     # wraps around: a fingerprint of each frame
     ours, theirs = (part.t_ns * IDENTIFIERS + part.arbitration_id.astype(np.int64) for part in parts)
     return 2 * len(np.intersect1d(ours, theirs)) >= min(len(ours), len(theirs)) > 0

@@ -17,7 +17,7 @@ from estimation.vehicle.vehicle_class import class_document
 from fleet_db.atomic_files import write_atomically
 from fleet_db.storage import SqlUnitOfWork
 from ingest.file_value import entry_of
-from ingest.profiles.stored import SUFFIX, stored_profile_text
+from ingest.profiles.files import SUFFIX, stored_profile_text
 from ingest.registry_file import FORMAT
 from ingest.track_file import COLUMNS, GAUGE_COLUMNS, LAYOUT_COLUMNS, LINE_COLUMNS
 
@@ -40,21 +40,25 @@ def export_registry(unit: SqlUnitOfWork, folder: str) -> ExportedRegistry:
     The files that it names will be in a folder, relative to the registry file.
     """
     registry, files = unit.registry, _Files(folder)
-    serials = [one.serial for one in registry.wheelsets() if not registry.voided(one.serial)]
+    serials = [wheelset.serial for wheelset in registry.wheelsets() if not registry.voided(wheelset.serial)]
     wheelsets = [registry.wheelset(serial) for serial in serials]
     vehicles = registry.vehicles_page(None, None, MOST_VEHICLES)
     arrays: dict[str, Sequence[Entry]] = {
-        "fleets": [entry_of(one) for one in registry.fleets()],
-        "vehicle_classes": [{"recorded": class_document(one.vehicle_class)} for one in registry.vehicle_classes()],
-        "vehicles": [entry_of(one) for one in vehicles],
-        "wheelsets": [entry_of(one) for one in wheelsets],
-        "mountings": [entry_of(one) for serial in serials for one in registry.mountings(serial)],
-        "reprofilings": [entry_of(one) for wheelset in wheelsets for one in wheelset.reprofilings],
-        "measured_profiles": [
-            _measurement(one, files) for serial in serials for one in registry.measured_profiles(serial)
+        "fleets": [entry_of(fleet) for fleet in registry.fleets()],
+        "vehicle_classes": [
+            {"recorded": class_document(record.vehicle_class)} for record in registry.vehicle_classes()
         ],
-        "sensor_changes": [entry_of(one) for vehicle in vehicles for one in unit.sensor_changes.list(vehicle.code)],
-        "track_sections": [_section(unit, one, files) for one in unit.tracks.sections()],
+        "vehicles": [entry_of(vehicle) for vehicle in vehicles],
+        "wheelsets": [entry_of(wheelset) for wheelset in wheelsets],
+        "mountings": [entry_of(mounting) for serial in serials for mounting in registry.mountings(serial)],
+        "reprofilings": [entry_of(reprofiling) for wheelset in wheelsets for reprofiling in wheelset.reprofilings],
+        "measured_profiles": [
+            _measurement(profiles, files) for serial in serials for profiles in registry.measured_profiles(serial)
+        ],
+        "sensor_changes": [
+            entry_of(change) for vehicle in vehicles for change in unit.sensor_changes.list(vehicle.code)
+        ],
+        "track_sections": [_section(unit, section, files) for section in unit.tracks.sections()],
     }
     filled = {name: list(entries) for name, entries in arrays.items() if entries}
     text = json.dumps({"format": FORMAT, **filled}, indent=1, ensure_ascii=False) + "\n"
@@ -69,14 +73,14 @@ def write_export(path: Path, unit: SqlUnitOfWork) -> ExportedRegistry:
     folder = f"{path.stem}-files"
     if path.exists() or (path.parent / folder).exists():
         raise InputError(f"it or the folder {folder!r} exists; give another name", file=path)
-    found = export_registry(unit, folder)
+    written = export_registry(unit, folder)
     try:
-        for name, content in found.files.items():
+        for name, content in written.files.items():
             write_atomically(path.parent / name, content.encode(), durable=False)
-        write_atomically(path, found.text.encode(), durable=True)
+        write_atomically(path, written.text.encode(), durable=True)
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
-    return found
+    return written
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,44 +95,44 @@ class _Files:
         return {"file": name}
 
 
-def _measurement(one: MeasuredProfiles, files: _Files) -> Entry:
+def _measurement(measured: MeasuredProfiles, files: _Files) -> Entry:
     sides = {
-        side: files.add(f"{one.wheelset}_{side}", SUFFIX, stored_profile_text(profile))
-        for side, profile in (("left", one.left), ("right", one.right))
+        side: files.add(f"{measured.wheelset}_{side}", SUFFIX, stored_profile_text(profile))
+        for side, profile in (("left", measured.left), ("right", measured.right))
     }
-    entry: Entry = {"wheelset": one.wheelset, "at": utc_text(one.at_ns), "mileage_km": one.mileage_km}
-    return {**entry, **sides, "std_mm": MM.write(one.std)}
+    entry: Entry = {"wheelset": measured.wheelset, "at": utc_text(measured.at_ns), "mileage_km": measured.mileage_km}
+    return {**entry, **sides, "std_mm": MM.write(measured.std)}
 
 
-def _section(unit: SqlUnitOfWork, one: TrackSectionRecord, files: _Files) -> Entry:
-    entry = entry_of(one)
-    if one.tonnage_mgt_per_year is None:
+def _section(unit: SqlUnitOfWork, section: TrackSectionRecord, files: _Files) -> Entry:
+    entry = entry_of(section)
+    if section.tonnage_mgt_per_year is None:
         del entry["tonnage_mgt_per_year"]
-    registered = unit.tracks.registered(one.code)
-    alignment = None if registered is None else unit.tracks.alignment(one.code, registered)
+    registered = unit.tracks.registered(section.code)
+    alignment = None if registered is None else unit.tracks.alignment(section.code, registered)
     if alignment is not None:
         entry["alignment"] = _alignment(alignment, files)
-    layout = unit.tracks.layout(one.code)
+    layout = unit.tracks.layout(section.code)
     if layout is not None:
         curvature, cant = (map(MM.write, values.tolist()) for values in (layout.curvature, layout.cant))
         rows = zip(layout.s.tolist(), curvature, cant, strict=True)
-        entry["layout"] = files.add(f"{one.code}_layout", ".csv", _csv((COLUMNS[0], *LAYOUT_COLUMNS), rows))
-    if one.line is not None:
-        entry["coordinates"] = files.add(f"{one.code}_coordinates", ".csv", _csv(LINE_COLUMNS, one.line))
+        entry["layout"] = files.add(f"{section.code}_layout", ".csv", _csv((COLUMNS[0], *LAYOUT_COLUMNS), rows))
+    if section.line is not None:
+        entry["coordinates"] = files.add(f"{section.code}_coordinates", ".csv", _csv(LINE_COLUMNS, section.line))
     return entry
 
 
-def _alignment(one: TrackAlignment, files: _Files) -> Entry:
+def _alignment(alignment: TrackAlignment, files: _Files) -> Entry:
     """Return the entry of an alignment; one of the gauge alone has no standard deviation."""
-    gauge = map(MM.write, one.gauge_deviation.tolist())
-    gauge_std = MM.write(float(one.gauge_deviation_std[0]))
-    s, std = one.s.tolist(), float(one.alignment_std[0])
+    gauge = map(MM.write, alignment.gauge_deviation.tolist())
+    gauge_std = MM.write(float(alignment.gauge_deviation_std[0]))
+    s, std = alignment.s.tolist(), float(alignment.alignment_std[0])
     if std != std:  # noqa: PLR0124 - NaN
         content = _csv(GAUGE_COLUMNS, zip(s, gauge, strict=True))
-        return {**files.add(one.section, ".csv", content), "gauge_deviation_std_mm": gauge_std}
-    content = _csv(COLUMNS, zip(s, map(MM.write, one.alignment.tolist()), gauge, strict=True))
+        return {**files.add(alignment.section, ".csv", content), "gauge_deviation_std_mm": gauge_std}
+    content = _csv(COLUMNS, zip(s, map(MM.write, alignment.alignment.tolist()), gauge, strict=True))
     stds: Entry = {"alignment_std_mm": MM.write(std), "gauge_deviation_std_mm": gauge_std}
-    return {**files.add(one.section, ".csv", content), **stds}
+    return {**files.add(alignment.section, ".csv", content), **stds}
 
 
 def _csv(columns: Sequence[str], rows: Iterator[tuple[float, ...]] | Sequence[tuple[float, ...]]) -> str:

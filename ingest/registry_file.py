@@ -35,7 +35,7 @@ from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRec
 from estimation.vehicle.vehicle_class import VehicleClass, class_of_document
 from fleet_db.records import Decision
 from fleet_db.storage import SqlUnitOfWork
-from ingest.file_value import Inline, read_value, table_of
+from ingest.file_value import Inline, read_value, table_of, taken
 from ingest.input_file import InputFile, InputTable, Location, NotNegative, Positive, Text, field_error, read_json
 from ingest.registry_entry.contents import Entry, LoadedRegistry, Refusal, RegistryContents, RegistryRefusedError
 from ingest.registry_entry.enter import enter
@@ -128,10 +128,10 @@ class RegistryObject:
         for name, key in _KEYS:
             before: set[tuple[object, ...]] = set()
             for index, entry in enumerate(getattr(self, name)):
-                found = tuple(getattr(getattr(entry, "record", entry), part) for part in key)
-                if found in before:
-                    raise field_error(f"{found[0]!r} is in an entry before", name, index)
-                before.add(found)
+                names = tuple(getattr(getattr(entry, "record", entry), part) for part in key)
+                if names in before:
+                    raise field_error(f"{names[0]!r} is in an entry before", name, index)
+                before.add(names)
         return self
 
 
@@ -150,14 +150,13 @@ _KEYS = (  # of the entries of each array
 
 def read_classes(file: InputFile, count: int) -> tuple[VehicleClass, ...]:
     """Return the classes of a registry file, those in files of their own included."""
-    found: list[VehicleClass] = []
+    classes: dict[str, VehicleClass] = {}
     for index in range(count):
         location: Location = ("vehicle_classes", index)
-        one = _class(file, location)
-        if any(one.code == other.code for other in found):
-            raise file.error(f"there are two classes {one.code!r}", location)
-        found.append(one)
-    return tuple(found)
+        vehicle_class = _class(file, location)
+        if classes.setdefault(vehicle_class.code, vehicle_class) is not vehicle_class:
+            raise file.error(f"there are two classes {vehicle_class.code!r}", location)
+    return tuple(classes.values())
 
 
 def _class(file: InputFile, location: Location) -> VehicleClass:
@@ -223,15 +222,11 @@ def _contents(file: InputFile) -> tuple[RegistryContents, list[Refusal]]:
         for index, entry in enumerate(entries.track_sections)
         for one in read(partial(_section, file, entry, ("track_sections", index)))
     ]
-    contents = RegistryContents(
-        fleets=entries.fleets,
+    contents = taken(
+        RegistryContents,
+        entries,
         classes=classes[0] if classes else (),
-        vehicles=entries.vehicles,
-        wheelsets=entries.wheelsets,
-        mountings=entries.mountings,
-        reprofilings=entries.reprofilings,
         measured_profiles=tuple(measured),
-        sensor_changes=entries.sensor_changes,
         sections=tuple(section for section, _, _ in sections),
         alignments=tuple(alignment for _, alignment, _ in sections if alignment is not None),
         layouts=tuple(layout for _, _, layout in sections if layout is not None),
@@ -240,14 +235,9 @@ def _contents(file: InputFile) -> tuple[RegistryContents, list[Refusal]]:
 
 
 def _measured_profiles(file: InputFile, entry: MeasurementEntry, location: Location) -> MeasuredProfiles:
-    return MeasuredProfiles(
-        wheelset=entry.wheelset,
-        at_ns=entry.at_ns,
-        mileage_km=entry.mileage_km,
-        left=_wheel(file, entry.left.file, (*location, "left", "file")),
-        right=_wheel(file, entry.right.file, (*location, "right", "file")),
-        std=entry.std,
-    )
+    left = _wheel(file, entry.left.file, (*location, "left", "file"))
+    right = _wheel(file, entry.right.file, (*location, "right", "file"))
+    return taken(MeasuredProfiles, entry, left=left, right=right)
 
 
 def _wheel(file: InputFile, name: str, location: Location) -> Profile:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 from estimation.values.reasons import ReasonCode
 from estimation.values.windows import Window, WindowKey, WindowRecord
@@ -13,10 +13,11 @@ from fleet_db.stores.assembled import AssembledWindow, StoredWindow
 from fleet_db.telemetry import window_digest
 from ingest.align.windows import MountedWindow
 from ingest.assembly import Assembler, SpanAssembly, registry_lookup
+from ingest.codec import Counts
 
 
 @dataclass(frozen=True, slots=True)
-class SpanChanges:
+class SpanChanges(Counts):
     """How many windows of a span are not as they were."""
 
     new: int = 0
@@ -29,10 +30,6 @@ class SpanChanges:
     def windows(self) -> int:
         """Number of windows that were stored or removed."""
         return self.new + self.changed + self.removed + self.healed
-
-    def __add__(self, other: SpanChanges) -> SpanChanges:
-        """Return the sums."""
-        return SpanChanges(*(own + more for own, more in zip(astuple(self), astuple(other), strict=True)))
 
 
 NO_CHANGES = SpanChanges()
@@ -61,14 +58,14 @@ def commit(unit: SqlUnitOfWork, assembly: SpanAssembly, recorded_ns: int, *, ver
     """
     wanted = {_key(each.window): each for each in map(_assembled, assembly.windows)}
     wheelsets = {wheelset for wheelset, _ in wanted}
-    found = unit.assembled.in_span(assembly.vehicle, wheelsets, assembly.from_ns, assembly.to_ns)
-    stored = {_key(one.record): one for one in found}
+    in_span = unit.assembled.in_span(assembly.vehicle, wheelsets, assembly.from_ns, assembly.to_ns)
+    stored = {_key(window.record): window for window in in_span}
     gone = [
-        one.record
-        for key, one in stored.items()
-        if one.record.vehicle == assembly.vehicle
+        window.record
+        for key, window in stored.items()
+        if window.record.vehicle == assembly.vehicle
         and key not in wanted
-        and not assembly.keeps(one.record.start_ns, one.record.length_ns)
+        and not assembly.keeps(window.record.start_ns, window.record.length_ns)
     ]
     removed = unit.assembled.remove(gone)
     touched = [(record.axle, record.start_ns) for record in removed]
@@ -85,7 +82,8 @@ def commit(unit: SqlUnitOfWork, assembly: SpanAssembly, recorded_ns: int, *, ver
         others += [each] if is_other else []
     touched += [(each.window.axle, each.window.start_ns) for each in others]
     gone_keys = {record.key for record in removed}
-    _look_at_partners(unit, assembly.vehicle, [one for one in found if one.record.key not in gone_keys], touched)
+    kept = [window for window in in_span if window.record.key not in gone_keys]
+    _look_at_partners(unit, assembly.vehicle, kept, touched)
     return changes
 
 
@@ -161,7 +159,9 @@ def _look_at_partners(
     They are estimated with the signals of both.
     """
     there = {
-        (one.record.axle, one.record.start_ns): _key(one.record) for one in stored if one.record.vehicle == vehicle
+        (window.record.axle, window.record.start_ns): _key(window.record)
+        for window in stored
+        if window.record.vehicle == vehicle
     }
     starts = {start_ns for _, start_ns in there}
     touched = [place for place in dict.fromkeys(touched) if place[1] in starts]

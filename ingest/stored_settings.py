@@ -38,14 +38,14 @@ class BusChoice:
 
     def of_class(self, vehicle_class: str | None) -> Catalogue:
         """Return the bus of a class; of a vehicle that the registry does not know, that of all other classes."""
-        found = self.others if vehicle_class is None else self.by_class.get(vehicle_class, self.others)
-        if vehicle_class in self.missing or (self.others_missing and found is self.others):
+        bus = self.others if vehicle_class is None else self.by_class.get(vehicle_class, self.others)
+        if vehicle_class in self.missing or (self.others_missing and bus is self.others):
             raise ParameterError(
                 f"recordings of class {vehicle_class!r} were decoded with a mapping file that is not given here:"
                 " name it in TREADWATCH_CATALOGUES, or with --catalogue",
                 field="catalogue",
             )
-        return found
+        return bus
 
     def of_vehicle(self, class_of: Callable[[str], str | None], vehicle: str) -> Catalogue:
         """Return the bus of a vehicle; ``class_of`` gives the class of a vehicle, and is asked where that decides."""
@@ -82,35 +82,35 @@ def claim(storage: SqlStorage, buses: BusChoice, length_ns: int, now_ns: int) ->
     """
     with storage.read() as unit:
         unit.settings.check_window_length(length_ns)
-        found = _stored_buses(unit) if unit.settings.get(LENGTH) == str(length_ns) else None
+        stored = _stored_buses(unit) if unit.settings.get(LENGTH) == str(length_ns) else None
     chosen: dict[str, Catalogue] = {OTHERS: buses.others, **buses.by_class}
     given = {
         name: StoredBus(hashlib.sha256(repr(_plain(bus)).encode()).hexdigest(), isinstance(bus, OwnBus))
         for name, bus in chosen.items()
     }
-    if found is None or _changed(found, given):
+    if stored is None or _changed(stored, given):
         with storage.write() as unit:
             unit.settings.alone()
             unit.settings.check_window_length(length_ns)
-            found = (_stored_buses(unit) or {}) if unit.settings.in_use() else {}
-            changed = _changed(found, given)
-            if found:
-                named = frozenset({*found, *given})
+            stored = (_stored_buses(unit) or {}) if unit.settings.in_use() else {}
+            changed = _changed(stored, given)
+            if stored:
+                named = frozenset({*stored, *given})
                 for vehicle in sorted({code for name in changed for code in _vehicles(unit, name, named)}):
                     unit.stale_spans.add(vehicle, None, None, CHANGED)
                     decode_undecoded(unit.chunks, vehicle, CHANGED, now_ns)
-            found |= {name: given[name] for name in changed}
+            stored |= {name: given[name] for name in changed}
             unit.settings.put(LENGTH, str(length_ns), now_ns)
-            text = json.dumps({name: {"digest": bus.digest, "own": bus.own} for name, bus in sorted(found.items())})
+            text = json.dumps({name: {"digest": bus.digest, "own": bus.own} for name, bus in sorted(stored.items())})
             unit.settings.put(BUSES, text, now_ns)
-    missing = {name for name, bus in found.items() if bus.own and not (name in given and given[name].own)}
+    missing = {name for name, bus in stored.items() if bus.own and not (name in given and given[name].own)}
     return replace(buses, missing=frozenset(missing - {OTHERS}), others_missing=OTHERS in missing)
 
 
-def _changed(found: Mapping[str, StoredBus], given: Mapping[str, StoredBus]) -> list[str]:
+def _changed(stored: Mapping[str, StoredBus], given: Mapping[str, StoredBus]) -> list[str]:
     """Return the classes whose bus is another one than before; the shipped one does not replace one's own."""
-    kept = {name for name, bus in found.items() if bus.own}
-    return [name for name, bus in given.items() if found.get(name) != bus and (bus.own or name not in kept)]
+    kept = {name for name, bus in stored.items() if bus.own}
+    return [name for name, bus in given.items() if stored.get(name) != bus and (bus.own or name not in kept)]
 
 
 def _vehicles(unit: SqlUnitOfWork, name: str, named: frozenset[str]) -> Iterator[str]:

@@ -91,10 +91,10 @@ def unit_of(name: str, allowed: Iterable[Quantity]) -> Unit:
     unit = UNITS.get(_PER_S_PER_S.sub("/s2", plain))
     if unit is not None and unit.quantity in quantities:
         return unit
-    known = ", ".join(repr(key) for key, item in UNITS.items() if item.quantity in quantities)
+    names = ", ".join(repr(key) for key, item in UNITS.items() if item.quantity in quantities)
     problem = "is no known unit" if unit is None else f"is a unit of {unit.quantity}"
     wanted = " or ".join(quantities)
-    raise ParameterError(f"{name!r} {problem}; {'an' if wanted[0] in 'aeiou' else 'a'} {wanted} is in {known}")
+    raise ParameterError(f"{name!r} {problem}; {'an' if wanted[0] in 'aeiou' else 'a'} {wanted} is in {names}")
 
 
 REACH = 4  # samples to either side of a derivative
@@ -135,11 +135,11 @@ def derivative_with_gaps(
     for them. Their own derivative is NaN.
     """
     result = np.full(len(tick), np.nan)
-    known = np.flatnonzero(~np.isnan(values))
-    if len(known) == 0:
+    places = np.flatnonzero(~np.isnan(values))
+    if len(places) == 0:
         return result
-    breaks = np.flatnonzero(np.diff(tick[known]) > bridged + 1)
-    for part in np.split(known, breaks + 1):
+    breaks = np.flatnonzero(np.diff(tick[places]) > bridged + 1)
+    for part in np.split(places, breaks + 1):
         grid = np.arange(tick[part[0]], tick[part[-1]] + 1)
         result[part] = derivative(np.interp(grid, tick[part], values[part]), interval_s, times)[tick[part] - grid[0]]
     return result

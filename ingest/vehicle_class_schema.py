@@ -190,10 +190,10 @@ class VehicleClassEntry(InputTable):
 
     def record(self) -> VehicleClass:
         """Return the class in SI units, its creep coefficients computed where they are not given."""
-        own = {"suspended_mass": self._suspended_mass(), "load": self._axle_load()}
+        derived = {"suspended_mass": self._suspended_mass(), "load": self._axle_load()}
         of_wheelset = {"wheelset": self.wheelset, "primary_suspension": self.primary_suspension}
         creep = self._kalker() if self.creep.source == "kalker" else _numbers({"creep": self.creep})
-        numbers = {**own, **_numbers(of_wheelset, but=own), **creep}
+        numbers = {**derived, **_numbers(of_wheelset, but=derived), **creep}
         of_bogie = {"bogie": self.bogie, "secondary_suspension": self.secondary_suspension or SecondaryTable()}
         bogie_numbers = {} if self.bogie is None else _numbers(of_bogie)
         return VehicleClass(

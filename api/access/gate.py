@@ -203,8 +203,8 @@ class Gate:
         scheme, _, token = given.partition(" ")
         token = token.strip()
         address = address_of(scope) or ""
-        known = keys.remembers(token)
-        wait_s = None if known else self.failures.wait_s(address, time.monotonic())
+        remembered = keys.remembers(token)
+        wait_s = None if remembered else self.failures.wait_s(address, time.monotonic())
         if wait_s is not None:
             raise _too_often(
                 "failed_keys_per_minute", f"{60 * self.failures.per_s:g} wrong keys a minute of an address", wait_s
@@ -271,10 +271,10 @@ def known_caller(scope: types.Scope) -> Caller | None:
 
 
 async def _caller_of(request: Request) -> Caller:
-    found = known_caller(request.scope)
-    if found is None:
+    caller = known_caller(request.scope)
+    if caller is None:
         raise LookupError("the request did not pass api.access.gate")
-    return found
+    return caller
 
 
 CallerDep = Annotated[Caller, Depends(_caller_of)]

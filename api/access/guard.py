@@ -185,7 +185,7 @@ HTTPS_ONLY = "max-age=31536000"
 
 def security_headers(*, https: bool, shared: bool) -> Mapping[str, str]:
     """Return the headers of an answer."""
-    found = {
+    headers = {
         "X-Content-Type-Options": "nosniff",
         "Referrer-Policy": "no-referrer",
         "Content-Security-Policy": PAGE_POLICY,
@@ -193,8 +193,8 @@ def security_headers(*, https: bool, shared: bool) -> Mapping[str, str]:
         "Cross-Origin-Resource-Policy": "cross-origin" if shared else "same-origin",
     }
     if https:
-        found["Strict-Transport-Security"] = HTTPS_ONLY
-    return found
+        headers["Strict-Transport-Security"] = HTTPS_ONLY
+    return headers
 
 
 IN_WORDS = "open to everyone who reaches this address"
@@ -219,10 +219,8 @@ class AccessPlan:
 def plan_of(settings: Settings) -> AccessPlan:
     """Return what a deployment has decided; refuses what is open beyond loopback, and half an issuer of tokens."""
     if settings.access == "open" and not is_loopback(settings.host):
-        raise ParameterError(
-            f"is open, and {settings.host} is reached from beyond this machine: use keys, or say '{IN_WORDS}'",
-            field=f"{PREFIX}ACCESS",
-        )
+        reason = f"is open, and {settings.host} is reached from beyond this machine: use keys, or say '{IN_WORDS}'"
+        raise ParameterError(reason, field=f"{PREFIX}ACCESS")
     return AccessPlan(
         with_keys=settings.access == "keys",
         hosts=Hosts(
@@ -249,7 +247,7 @@ def is_loopback(host: str) -> bool:
 
 def listed(value: str | None) -> list[str]:
     """Return the parts of a setting with commas between them."""
-    return [part for one in (value or "").split(",") if (part := one.strip())]
+    return [part for item in (value or "").split(",") if (part := item.strip())]
 
 
 def _provider(settings: Settings) -> Provider | None:

@@ -91,8 +91,8 @@ class KeyRing:
         if prefix is None:
             return None
         digest = digest_of(token)
-        known = self._known.get(digest)
-        age_s = float("inf") if known is None else time.monotonic() - known.read_s
+        read = self._known.get(digest)
+        age_s = float("inf") if read is None else time.monotonic() - read.read_s
         if age_s >= AGAIN_S:
             reading = self._reading.get(digest)
             if reading is None:
@@ -101,8 +101,8 @@ class KeyRing:
             if age_s >= AT_MOST_S:
                 key = await asyncio.shield(reading)
                 return key if key is not None and key.usable(now_ns) else None
-        assert known is not None
-        return known.key if known.key.usable(now_ns) else None
+        assert read is not None
+        return read.key if read.key.usable(now_ns) else None
 
     def _ended(self, digest: str, task: asyncio.Task[ApiKey | None]) -> None:
         del self._reading[digest]
@@ -214,7 +214,7 @@ def _words(claim: object) -> Sequence[str]:
     """Return the texts of a claim that is a list, or one text with spaces."""
     if isinstance(claim, str):
         return claim.split()
-    return [one for one in claim if isinstance(one, str)] if isinstance(claim, list) else []
+    return [name for name in claim if isinstance(name, str)] if isinstance(claim, list) else []
 
 
 def _published(place: str) -> Mapping[str | None, jwt.PyJWK]:
@@ -223,7 +223,7 @@ def _published(place: str) -> Mapping[str | None, jwt.PyJWK]:
             text = answer.read(LARGEST)
     else:
         text = Path(place).read_bytes()[:LARGEST]
-    keys = [key for one in json.loads(text)["keys"] if (key := _signing_key(one)) is not None]
+    keys = [key for described in json.loads(text)["keys"] if (key := _signing_key(described)) is not None]
     return {key.key_id: key for key in keys}
 
 

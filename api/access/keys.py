@@ -27,8 +27,8 @@ def _new_token() -> str:
 
 def prefix_of(token: str) -> str | None:
     """Return the prefix of a key; None where it has not the form of one."""
-    found = _FORM.fullmatch(token)
-    return None if found is None else found["prefix"]
+    form = _FORM.fullmatch(token)
+    return None if form is None else form["prefix"]
 
 
 def digest_of(token: str) -> str:
@@ -55,8 +55,8 @@ def make_key(unit: SqlUnitOfWork, wanted: Wanted, by: str, now_ns: int) -> tuple
     if wanted.expires_ns is not None and wanted.expires_ns <= now_ns:
         raise ParameterError("is not in the future", field="expires_at")
     if wanted.fleets is not None:
-        known = {fleet.code for fleet in unit.registry.fleets()}
-        for code in sorted(wanted.fleets - known):
+        on_file = {fleet.code for fleet in unit.registry.fleets()}
+        for code in sorted(wanted.fleets - on_file):
             raise NotFoundError("fleet", code)
     token = _new_token()
     while unit.api_keys.find(prefix := str(prefix_of(token))) is not None:

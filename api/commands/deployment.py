@@ -155,7 +155,7 @@ def serve(
     from api.terminal.processes import begun
 
     settings = load_settings(host=host, port=port)
-    stopping = begun(settings)  # the server hands its signal on when it has stopped
+    stopping = begun(settings)
     with logs.in_background():
         serving.serve(settings, stopping)
 

@@ -65,9 +65,8 @@ def ingest(
     """
     sources = (interface is not None) + bool(files) + bool(exchange)
     if sources > 1 or (sources == 0 and registry is None):  # a registry may come alone
-        raise ParameterError(
-            "give recordings, or --exchange, or --interface with --channel and --vehicle, or --bus", field="FILES"
-        )
+        reason = "give recordings, or --exchange, or --interface with --channel and --vehicle, or --bus"
+        raise ParameterError(reason, field="FILES")
     from api.terminal.health_server import HealthAddress
     from api.terminal.ingest import ingest_and_report
     from api.terminal.live import receive_and_report
@@ -91,12 +90,12 @@ def _buses(
         raise ParameterError("names channel and vehicle itself: leave --channel and --vehicle out", field="--bus")
     if not more and (channel is None or vehicle is None):
         raise ParameterError("a live bus needs --channel and --vehicle, or --bus CHANNEL=VEHICLE", field="--interface")
-    pairs = [one.partition("=")[::2] for one in more] or [(channel or "", vehicle or "")]
-    if not all(one and of for one, of in pairs):
+    pairs = [pair.partition("=")[::2] for pair in more] or [(channel or "", vehicle or "")]
+    if not all(bus and of for bus, of in pairs):
         raise ParameterError("is CHANNEL=VEHICLE, such as can0=L-1", field="--bus")
-    if min(len({one for one, _ in pairs}), len({of for _, of in pairs})) < len(pairs):
+    if min(len({bus for bus, _ in pairs}), len({of for _, of in pairs})) < len(pairs):
         raise ParameterError("a channel or a vehicle is there twice", field="--bus")
-    return [LiveBus(interface, one, of, chunk_seconds) for one, of in pairs]
+    return [LiveBus(interface, bus, of, chunk_seconds) for bus, of in pairs]
 
 
 chunk = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -284,8 +283,7 @@ quarantine = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 @quarantine.command("list")
 def list_quarantine(
-    *,
-    everything: Annotated[bool, typer.Option("--all", help="Also what has succeeded since.")] = False,
+    *, everything: Annotated[bool, typer.Option("--all", help="Also what has succeeded since.")] = False
 ) -> None:
     """List what failed, with its reason code, how often, and when it is tried again."""
     from api.terminal.recordings import quarantine_list

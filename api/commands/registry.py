@@ -31,7 +31,7 @@ _Confirmed = Annotated[
 
 
 def _doubts(confirmed: list[Rule] | None) -> list[Rule]:
-    impossible = [one for one in confirmed or () if one not in CONFIRMABLE]
+    impossible = [rule for rule in confirmed or () if rule not in CONFIRMABLE]
     if impossible:
         raise ParameterError(f"{impossible[0]} cannot be confirmed; what can: {_DOUBTS}", field="--confirm")
     return confirmed or []

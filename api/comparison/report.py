@@ -72,14 +72,14 @@ def _rows(study: PairStudy) -> Iterator[tuple[Score, list[str]]]:
 
 def nearest(study: PairStudy) -> dict[tuple[TrackInformation, str], int]:
     """Return for how many wheelsets each estimator has the least error, by information on the track."""
-    found = {(score.track, score.estimator): 0 for score in study.scores}
+    best = {(score.track, score.estimator): 0 for score in study.scores}
     for track in TrackInformation:
         scores = [score for score in study.scores if score.track is track]
         for k in range(max((len(score.by_wheelset) for score in scores), default=0)):
             errors = {score.estimator: score.by_wheelset[k] for score in scores if math.isfinite(score.by_wheelset[k])}
             if errors:
-                found[track, min(errors, key=errors.__getitem__)] += 1
-    return found
+                best[track, min(errors, key=errors.__getitem__)] += 1
+    return best
 
 
 def sentences_of(studies: Sequence[PairStudy]) -> list[str]:
@@ -195,19 +195,20 @@ def _conicity(axes: Axes, study: PairStudy) -> None:
     true = equivalent_conicity(truth.displacement, truth.difference, _AMPLITUDES)
     axes.plot(IN_MM * _AMPLITUDES, true, color="black", linewidth=2.2, label="truth", zorder=5)
     for order, (name, title) in enumerate(titles().items()):
-        found = study.example.geometries.get((track, name))
-        if found is None:
+        geometry = study.example.geometries.get((track, name))
+        if geometry is None:
             continue
         colour, marker = _style(order)
-        rows = [(np.nan,) * 3 if one.value is None else (one.value, one.low, one.high) for one in found.conicity]
+        values = [(conicity.value, conicity.low, conicity.high) for conicity in geometry.conicity]
+        rows = [(np.nan,) * 3 if value[0] is None else value for value in values]
         value, low, high = np.array(rows, dtype=np.float64).T
         if name == SHIPPED:
             axes.fill_between(
-                IN_MM * found.amplitude, low, high, color=colour, alpha=0.2, linewidth=0,
+                IN_MM * geometry.amplitude, low, high, color=colour, alpha=0.2, linewidth=0,
                 label=f"{title}: 95 % interval",
             )  # fmt: skip
         axes.plot(
-            IN_MM * found.amplitude, value, color=colour, marker=marker, markersize=4, linewidth=1.2,
+            IN_MM * geometry.amplitude, value, color=colour, marker=marker, markersize=4, linewidth=1.2,
             label=title,
         )  # fmt: skip
     axes.set_title(f"{study.pair}: wheelset {truth.serial}, track {TRACKS[track]}")
@@ -235,8 +236,8 @@ def draw_errors(axes: Axes, study: PairStudy) -> None:
             if score.errors:
                 axes.hlines(score.median, x - 0.4 * step, x + 0.4 * step, color=colour, linewidth=2.5)
         if not any(item.errors for item in study.scores if item.track is track):
-            at = axes.get_xaxis_transform()
-            axes.text(place, 0.5, "nothing estimated", transform=at, ha="center", color="dimgrey", fontsize=9)
+            transform = axes.get_xaxis_transform()
+            axes.text(place, 0.5, "nothing estimated", transform=transform, ha="center", color="dimgrey", fontsize=9)
     axes.set_xlim(-0.5, len(tracks) - 0.5)
     axes.set_xticks(range(len(tracks)), [f"track\n{TRACKS[track]}" for track in tracks])
     axes.set_yscale("log")

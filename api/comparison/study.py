@@ -56,17 +56,17 @@ class TrueWheelset(FrozenArrays):
 def read_truth(path: Path) -> tuple[TrueWheelset, ...]:
     """Return what is true of every wheelset in the first campaign of a simulation, in the order of their serials."""
     wheelsets = json.loads(path.read_text(encoding="utf-8"))["wheelsets"]
-    found = [_wheelset(item["serial"], one) for item in wheelsets for one in item["campaigns"] if one["campaign"] == 1]
+    found = [_wheelset(item["serial"], run) for item in wheelsets for run in item["campaigns"] if run["campaign"] == 1]
     return tuple(sorted(found, key=lambda item: item.serial))
 
 
-def conicity_errors(found: WheelsetGeometry, truth: TrueWheelset) -> list[tuple[float, bool] | None]:
+def conicity_errors(geometry: WheelsetGeometry, truth: TrueWheelset) -> list[tuple[float, bool] | None]:
     """Return error and whether the 95 % interval holds the truth at each amplitude of the truth; None: no estimate."""
     compared: list[tuple[float, bool] | None] = []
     for amplitude, true in zip(truth.amplitude, truth.conicity, strict=True):
-        at = int(np.argmin(np.abs(found.amplitude - amplitude)))
-        estimate = found.conicity[at]
-        same = bool(np.isclose(found.amplitude[at], amplitude, rtol=0.0, atol=1e-9))
+        nearest = int(np.argmin(np.abs(geometry.amplitude - amplitude)))
+        estimate = geometry.conicity[nearest]
+        same = bool(np.isclose(geometry.amplitude[nearest], amplitude, rtol=0.0, atol=1e-9))
         if not same or estimate.value is None or estimate.low is None or estimate.high is None:
             compared.append(None)
         else:
@@ -76,8 +76,8 @@ def conicity_errors(found: WheelsetGeometry, truth: TrueWheelset) -> list[tuple[
 
 def _wheelset(serial: str, facts: dict[str, Any]) -> TrueWheelset:
     conicity = np.array([np.nan if value is None else value for value in facts["equivalent_conicity"]])
-    known = 1e-3 * np.array(facts["amplitude_mm"])
-    chosen = [int(np.argmin(np.abs(known - amplitude))) for amplitude in AMPLITUDES]
+    amplitudes = 1e-3 * np.array(facts["amplitude_mm"])
+    chosen = [int(np.argmin(np.abs(amplitudes - amplitude))) for amplitude in AMPLITUDES]
     return TrueWheelset(
         serial=serial,
         displacement=1e-3 * np.array(facts["lateral_displacement_mm"]),
@@ -190,9 +190,9 @@ def study(scenario: Scenario, cache: Path, progress: Progress = no_progress) -> 
                 if track is TrackInformation.FLEET:
                     track_seconds = time.perf_counter() - began
                 run_jobs(context, jobs[1:], show)
-                for score, found in _scored(storage, context, scenario.pair, track, truths, show):
+                for score, of_wheelsets in _scored(storage, context, scenario.pair, track, truths, show):
                     scores.append(score)
-                    if (geometry := found[shown.serial]) is not None:
+                    if (geometry := of_wheelsets[shown.serial]) is not None:
                         geometries[track, score.estimator] = geometry
                 if sum(score.track is track for score in scores) < len(estimators()):
                     unestimated[track] = _why(storage, truths)
@@ -227,24 +227,25 @@ def _scored(
     for done, item in enumerate(every):
         progress(f"track {track}: {item.title}", done, len(every))
         began = time.perf_counter()
-        found = {truth.serial: geometry_by(storage, context, truth.serial, item.name) for truth in truths}
+        geometries = {truth.serial: geometry_by(storage, context, truth.serial, item.name) for truth in truths}
         seconds = time.perf_counter() - began
-        if not any(found.values()):
+        if not any(geometries.values()):
             return
-        pairs = [(found[truth.serial], truth) for truth in truths]
-        compared = [[] if one is None else [e for e in conicity_errors(one, truth) if e] for one, truth in pairs]
+        pairs = [(geometries[truth.serial], truth) for truth in truths]
+        errors = [[] if estimate is None else conicity_errors(estimate, truth) for estimate, truth in pairs]
+        compared = [[error for error in of_wheelset if error] for of_wheelset in errors]
         score = Score(
             pair=pair,
             track=track,
             estimator=item.name,
-            by_wheelset=tuple(float(np.mean([abs(e) for e, _ in one])) if one else float("nan") for one in compared),
+            by_wheelset=tuple(float(np.mean([abs(e) for e, _ in each])) if each else float("nan") for each in compared),
             wheelsets=len(truths),
             amplitudes=sum(len(truth.amplitude) for truth in truths),
-            estimated=sum(len(one) for one in compared),
-            covered=sum(inside for one in compared for _, inside in one),
+            estimated=sum(map(len, compared)),
+            covered=sum(inside for each in compared for _, inside in each),
             seconds=seconds,
         )
-        yield score, found
+        yield score, geometries
 
 
 def _why(storage: Storage, truths: Sequence[TrueWheelset]) -> str:

@@ -184,24 +184,24 @@ def replayed(
 def geometry_by(storage: Storage, context: JobContext, serial: str, estimator: str) -> WheelsetGeometry | None:
     """Return the current geometry of a wheelset as an estimator finds it; nothing is stored."""
     with storage.read() as unit:
-        found = geometries_of(unit, [serial], context)[serial]
+        rolled = geometries_of(unit, [serial], context)[serial]
         if estimator != SHIPPED:
-            return _by_rival(unit, found, estimator_named(estimator))
-        current = [record.geometry for record in found.records() if record.interval is None]
+            return _by_rival(unit, rolled, estimator_named(estimator))
+        current = [record.geometry for record in rolled.records() if record.interval is None]
         return current[-1] if current else None
 
 
-def _by_rival(unit: UnitOfWork, found: RolledGeometries, rival: Estimator[Any]) -> WheelsetGeometry | None:
+def _by_rival(unit: UnitOfWork, rolled: RolledGeometries, rival: Estimator[Any]) -> WheelsetGeometry | None:
     """Return the geometry by a rival; what the data say against class and registry holds for it, too."""
-    parts = found.current_parts()
+    parts = rolled.current_parts()
     if not parts:
         return None
-    used = found.estimated_with(parts)
-    motions, key = _weighted(unit, found, used, parts), f"{used.bins.key} {rival.name}"
+    used = rolled.estimated_with(parts)
+    motions, key = _weighted(unit, rolled, used, parts), f"{used.bins.key} {rival.name}"
     geometry = geometry_from_motion(rival, parameters_of(used), motions, used.bins.edges, key)
-    for contradiction in contradictions(found.forgetting_sum(parts), used.bins, used.uncertainty):
+    for contradiction in contradictions(rolled.forgetting_sum(parts), used.bins, used.uncertainty):
         geometry = geometry.against(contradiction)
-    return geometry.against(found.contradiction(parts, (parts[0].roll_up.key.baseline, None)))
+    return geometry.against(rolled.contradiction(parts, (parts[0].roll_up.key.baseline, None)))
 
 
 def parameters_of(used: EstimatedWith) -> EstimatorParameters:
@@ -217,11 +217,11 @@ def parameters_of(used: EstimatedWith) -> EstimatorParameters:
 
 
 def _weighted(
-    unit: UnitOfWork, found: RolledGeometries, used: EstimatedWith, parts: Sequence[Part]
+    unit: UnitOfWork, rolled: RolledGeometries, used: EstimatedWith, parts: Sequence[Part]
 ) -> Iterator[tuple[float, Motion]]:
     """Yield weight and motion of the windows that have samples, oldest first; the newest has weight 1."""
-    together = [member for part in parts for member in members(unit, found.rules, part)]
+    together = [member for part in parts for member in members(unit, rolled.rules, part)]
     ordered = sorted(together, key=lambda member: member.start_ns)
-    newest_km = max((part.roll_up for part in parts), key=lambda one: one.last_ns).last_km
+    newest_km = max((part.roll_up for part in parts), key=lambda roll_up: roll_up.last_ns).last_km
     for member, moved in replayed(unit, ordered, used.assumed.window_parameters):
-        yield 0.5 ** ((newest_km - member.mileage_km) / found.rules.half_life_km), moved
+        yield 0.5 ** ((newest_km - member.mileage_km) / rolled.rules.half_life_km), moved

@@ -132,36 +132,36 @@ ALERTS = ("open alerts",)
 TITLE = "Wheel-rail wear of the fleet, from the REST API; the most urgent first"
 
 
-def tables(found: list[WheelsetLine], console: Console) -> list[Table]:
+def tables(wheelsets: list[WheelsetLine], console: Console) -> list[Table]:
     """Return one table where the console is wide enough for it, else one each of estimates, outlook and alerts."""
     parts = [
-        (TITLE, ESTIMATE, [_estimate_cells(line) for line in found]),
-        ("and what it leads to", OUTLOOK, [[line.slope_per_1000_km, line.distance] for line in found]),
-        ("and what was raised", ALERTS, [[line.alerts] for line in found]),
+        (TITLE, ESTIMATE, [_estimate_cells(line) for line in wheelsets]),
+        ("and what it leads to", OUTLOOK, [[line.slope_per_1000_km, line.distance] for line in wheelsets]),
+        ("and what was raised", ALERTS, [[line.alerts] for line in wheelsets]),
     ]
     heads = [name for _, head, _ in parts for name in head]
     joined = [[cell for cells in row for cell in cells] for row in zip(*(rows for _, _, rows in parts), strict=True)]
-    whole = _table(TITLE, heads, joined, found)
+    whole = _table(TITLE, heads, joined, wheelsets)
     if Measurement.get(console, console.options.update(max_width=1000), whole).maximum <= console.width:
         return [whole]
-    return [_table(title, head, rows, found) for title, head, rows in parts]
+    return [_table(title, head, rows, wheelsets) for title, head, rows in parts]
 
 
-def _table(title: str, head: Sequence[str], rows: list[list[str]], found: list[WheelsetLine]) -> Table:
+def _table(title: str, head: Sequence[str], rows: list[list[str]], wheelsets: list[WheelsetLine]) -> Table:
     result = Table("wheelset", title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for name in head:
         result.add_column(name, justify="left" if name in ALERTS else "right")
-    for line, row in zip(found, rows, strict=True):
+    for line, row in zip(wheelsets, rows, strict=True):
         result.add_row(line.serial, *row)
     return result
 
 
 def _estimate_cells(line: WheelsetLine) -> list[str]:
-    known = line.value is not None
+    is_known = line.value is not None
     return [
         "" if line.mileage_km is None else f"{line.mileage_km:,.0f}",
         "" if line.true is None else f"{line.true:.3f}",
-        f"{line.value:.3f} [{line.low:.3f}, {line.high:.3f}]" if known else "unknown",
+        f"{line.value:.3f} [{line.low:.3f}, {line.high:.3f}]" if is_known else "unknown",
         {True: "yes", False: "[red]no[/red]", None: ""}[line.covers],
     ]
 
@@ -175,9 +175,9 @@ def second_opinions(
 ) -> Iterator[SecondOpinion]:
     """Ask the REST API for a fleet's wheelsets without a geometry, and for the low adhesion that it found."""
     for row in _wheelsets(service, scenario.fleet_code):
-        found = _by_signature(service, row["serial"], true)
-        if found is not None:
-            yield found
+        said = _by_signature(service, row["serial"], true)
+        if said is not None:
+            yield said
     for alert in get(service, "/v1/alerts?kind=low_adhesion&open=true&limit=1000")["items"]:
         if alert["track_section"] == scenario.section.code:
             yield (f"{_low(service, scenario.section.code)}; true {_true_friction(scenario)}", None)
@@ -209,17 +209,18 @@ def _by_signature(
 
 
 def _true_friction(scenario: Scenario) -> str:
-    stretches = [f"{one.friction:.2f} at {one.begin:g} to {one.end:g} m" for one in scenario.creep.stretches]
-    return ", ".join([*stretches, f"{scenario.creep.friction:.2f} elsewhere"])
+    creep = scenario.creep
+    parts = [f"{stretch.friction:.2f} at {stretch.begin:g} to {stretch.end:g} m" for stretch in creep.stretches]
+    return ", ".join([*parts, f"{creep.friction:.2f} elsewhere"])
 
 
 def _low(service: ServiceAddress, section: str) -> str:
-    found = get(service, _path("track-sections", section, "adhesion"))
+    friction = get(service, _path("track-sections", section, "adhesion"))
     parts = []
-    for stretch in found["low_stretches"]:
-        inside = [one for one in found["places"] if stretch["from_m"] <= one["from_m"] < stretch["to_m"]]
-        known = [one["friction_1"]["value"] for one in inside if one["friction_1"]["value"] is not None]
-        parts.append(f"{stretch['from_m']:g} to {stretch['to_m']:g} m, friction {min(known):.2f} to {max(known):.2f}")
+    for stretch in friction["low_stretches"]:
+        inside = [place for place in friction["places"] if stretch["from_m"] <= place["from_m"] < stretch["to_m"]]
+        values = [place["friction_1"]["value"] for place in inside if place["friction_1"]["value"] is not None]
+        parts.append(f"{stretch['from_m']:g} to {stretch['to_m']:g} m, friction {min(values):.2f} to {max(values):.2f}")
     return f"track {section}: alert of low adhesion in the feed, at {'; '.join(parts)}"
 
 
@@ -229,14 +230,14 @@ def track_lines(service: ServiceAddress) -> list[str]:
 
 
 def _section_line(service: ServiceAddress, section: dict[str, Any]) -> str:
-    at = _path("track-sections", section["code"])
+    path = _path("track-sections", section["code"])
     versions: list[dict[str, Any]] = []
-    following: str | None = f"{at}/alignments?limit=1000"
+    following: str | None = f"{path}/alignments?limit=1000"
     while following is not None:
         page = get(service, following)
         versions += page["items"]
         following = page["next"]
-    report = get(service, f"{at}/alignment-report")
+    report = get(service, f"{path}/alignment-report")
     head = f"track {section['code']}, {section['length_m'] / 1000:g} km"
     if not versions:
         reason = f": {report['reason']}" if report and report["reason"] else ""
@@ -247,7 +248,7 @@ def _section_line(service: ServiceAddress, section: dict[str, Any]) -> str:
     if newest["source"] == AlignmentSource.RECORDED:
         verdict = f", {report['recording']}" if report and report["recording"] else ""
         return f"{head}: alignment on file, version {newest['version']}{verdict}"
-    filed = {one["status"] for one in versions if one["source"] == AlignmentSource.RECORDED}
+    filed = {version["status"] for version in versions if version["source"] == AlignmentSource.RECORDED}
     how = "the surveyed alignment is not used" if Status.ESTIMATED in filed else "not surveyed"
     how = "the gauge alone is on file" if filed == {Status.UNESTIMATED} else how
     return f"{head}: {how}; the fleet has found its alignment, {_alignment_words(newest, report)}"
@@ -259,7 +260,8 @@ def _alignment_words(newest: dict[str, Any], report: dict[str, Any] | None) -> s
         words.append(f"std {newest['alignment_std_mm']:.2f} mm at wavelengths of up to {newest['cut_off_m']:g} m")
     if report is not None and report["covered_1"] is not None:
         words.append(f"known along {report['covered_1']:.0%}")
-    offsets = [abs(one["offset_m"]) for one in (report or {}).get("journeys", []) if one["used"] and one["offset_m"]]
+    used = [journey for journey in (report or {}).get("journeys", []) if journey["used"]]
+    offsets = [abs(journey["offset_m"]) for journey in used if journey["offset_m"]]
     if offsets:
         words.append(f"positions of the last journeys put right by up to {max(offsets):.1f} m")
     return ", ".join(words)

@@ -46,9 +46,18 @@ class FeedFilter:
     @property
     def bound(self) -> Mapping[str, object]:
         """What a cursor is bound to; nothing for the whole feed."""
+        return self.asked if self.visible is None else {**self.asked, "visible": sorted(self.visible)}
+
+    @property
+    def asked(self) -> Mapping[str, Sequence[str]]:
+        """What a client asks for, by the name of the parameter."""
         named = {"fleet": self.fleets, "kind": self.kinds, "severity": self.severities}
-        found: dict[str, object] = {name: sorted(values) for name, values in named.items() if values}
-        return found if self.visible is None else found | {"visible": sorted(self.visible)}
+        return {name: sorted(values) for name, values in named.items() if values}
+
+    @property
+    def chosen(self) -> dict[str, frozenset[str]]:
+        """What the store is asked for."""
+        return {"fleets": self.fleets, "kinds": self.kinds, "severities": self.severities}
 
 
 async def _feed_filter(
@@ -177,26 +186,19 @@ def opened(
     with storage.read() as unit:
         if after == LATEST:
             return read(unit, narrowed, unit.feed_branches.newest_sequence())
-        last = event_of(unit, narrowed, _with_filter(path, narrowed), given)
+        query = urlencode(narrowed.asked, doseq=True)
+        last = event_of(unit, narrowed, quote(path) + (f"?{query}" if query else ""), given)
         return read(unit, narrowed, 0 if last is None else last.sequence)
 
 
 def read_page(unit: SqlUnitOfWork, narrowed: FeedFilter, after_sequence: int, limit: int) -> FeedPage:
     """Return the page behind a place that is known to be of this database."""
-    found = unit.alerts.feed(
-        after_sequence, limit, fleets=narrowed.fleets, kinds=narrowed.kinds, severities=narrowed.severities
-    )
+    listed = unit.alerts.feed(after_sequence, limit, **narrowed.chosen)
     branch = unit.feed_branches.all()[-1]
     newest = newest_place(unit, narrowed, branch)
-    events = [(event, cursor_behind(narrowed, branch, event)) for event in found]
-    end = newest if len(found) < limit else Place(found[-1].sequence, events[-1][1])
+    events = [(event, cursor_behind(narrowed, branch, event)) for event in listed]
+    end = newest if len(listed) < limit else Place(listed[-1].sequence, events[-1][1])
     return FeedPage(events, end, newest)
-
-
-def _with_filter(path: str, narrowed: FeedFilter) -> str:
-    named = (("fleet", narrowed.fleets), ("kind", narrowed.kinds), ("severity", narrowed.severities))
-    given = [(name, value) for name, values in named for value in sorted(values)]
-    return quote(path) + (f"?{urlencode(given)}" if given else "")
 
 
 def newest_place(unit: SqlUnitOfWork, narrowed: FeedFilter, branch: FeedBranch) -> Place:
@@ -216,24 +218,22 @@ def read_kept(
     unit: SqlUnitOfWork, narrowed: FeedFilter, after_sequence: int, limit: int, cache: RepresentationCache
 ) -> KeptPage:
     """Return the page behind a place that is known to be of this database."""
-    found = unit.alerts.feed_outlines(
-        after_sequence, limit, fleets=narrowed.fleets, kinds=narrowed.kinds, severities=narrowed.severities
-    )
+    outlines = unit.alerts.feed_outlines(after_sequence, limit, **narrowed.chosen)
 
     def made(sequences: Sequence[int]) -> Mapping[int, bytes]:
         events = unit.alerts.some_events(sequences)
         return {sequence: payload_of(alerts.event(event)) for sequence, event in events.items()}
 
-    keys = {one.sequence: ("event", one.sequence, one.alert_id, one.recorded_ns) for one in found}
+    keys = {event.sequence: ("event", event.sequence, event.alert_id, event.recorded_ns) for event in outlines}
     texts = cache.get_or_make_all(keys, made)
     branch = unit.feed_branches.all()[-1]
-    if len(found) < limit:
+    if len(outlines) < limit:
         end = newest_place(unit, narrowed, branch)
     else:
-        last = found[-1]
+        last = outlines[-1]
         key = ("cursor", last.sequence, last.alert_id, last.recorded_ns, branch.identity, narrowed)
         text = cache.get_or_make(
             key, lambda: cursor_behind(narrowed, branch, unit.alerts.event(last.sequence)).encode()
         )
         end = Place(last.sequence, text.decode())
-    return KeptPage([texts[one.sequence] for one in found], end)
+    return KeptPage([texts[event.sequence] for event in outlines], end)

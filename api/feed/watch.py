@@ -73,7 +73,7 @@ class Channel:
         """Return what is new behind a number; None where the database must be read."""
         if sequence < self.begin:
             return None
-        return [one for one in self.kept if one.place.sequence > sequence]
+        return [event for event in self.kept if event.place.sequence > sequence]
 
     def take(self, page: FeedPage) -> None:
         """Take news in, and let go what is too old."""
@@ -156,12 +156,12 @@ class FeedWatch:
         storage = self._storage()
         if storage is None:
             return
-        known = self._newest
+        newest_known = self._newest
         newest, pages = await run_in_threadpool(_news, storage, tuple(self._channels.values()))
-        if newest < known:  # the database was restored: cursors have to be looked at again
+        if newest < newest_known:  # the database was restored: cursors have to be looked at again
             self.histories += 1
             self._channels.clear()
-        self._newest = newest if newest < known else max(newest, self._newest)
+        self._newest = newest if newest < newest_known else max(newest, self._newest)
         for channel, page in pages:
             channel.take(page)
         if pages or not self._channels:
@@ -238,8 +238,8 @@ class EventStream(StreamingResponse):
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send until it ends or the client leaves."""
         with ExitStack() as stack:
-            for one in self._held:
-                stack.enter_context(one)
+            for held in self._held:
+                stack.enter_context(held)
             await super().__call__(scope, receive, send)
 
     async def stream_response(self, send: Send) -> None:
@@ -300,7 +300,7 @@ class FeedStream:
             return _text(page) if page.events else b"", page.end
         if news:
             part = news[:CATCH_UP]
-            return b"".join(one.text for one in part), part[-1].place
+            return b"".join(event.text for event in part), part[-1].place
         return b"", channel.end if channel.end.sequence > place.sequence else place
 
     def _read(self, after_sequence: int) -> FeedPage:

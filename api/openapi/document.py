@@ -147,16 +147,12 @@ def _describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[s
             names = {"X-Request-Id", *_STREAM}
         if status.startswith("2") and method.upper() == HTTPMethod.POST:
             names.add("Idempotency-Replayed")
-        if status == "200" and _is_page(response, schemas):
+        reference = response.get("content", {}).get("application/json", {}).get("schema", {}).get("$ref", "")
+        if status == "200" and _PAGED in schemas.get(reference.rpartition("/")[2], {}).get("properties", {}):
             names.add("Link")
         described = response.setdefault("headers", {})
         for name in sorted(names):
             described.setdefault(name, {"$ref": f"#/components/headers/{name}"})
-
-
-def _is_page(response: Mapping[str, Any], schemas: Mapping[str, Any]) -> bool:
-    reference = response.get("content", {}).get("application/json", {}).get("schema", {}).get("$ref", "")
-    return _PAGED in schemas.get(reference.rsplit("/", maxsplit=1)[-1], {}).get("properties", {})
 
 
 def _describe_tables(app: FastAPI, document: dict[str, Any]) -> None:
@@ -187,15 +183,15 @@ SCHEME = {
 
 def scopes_of(routers: Iterable[APIRouter]) -> dict[str, Scope]:
     """Return the scope of every operation by its name."""
-    found = {}
+    scopes = {}
     for router in routers:
         for route in router.routes:
             if isinstance(route, APIRoute):
                 scope = scope_of(route)
                 if scope is None:
                     raise LookupError(f"{route.name} declares no scope")
-                found[route.name] = scope
-    return found
+                scopes[route.name] = scope
+    return scopes
 
 
 _OF_STATUS: Mapping[str, str] = {
@@ -248,7 +244,7 @@ Times are RFC 3339 in UTC; ranges are half-open.
 
 def document(app: FastAPI, scopes: Mapping[str, Scope]) -> dict[str, Any]:
     """Return the document of this app."""
-    found = get_openapi(
+    described = get_openapi(
         title=app.title,
         version=app.version,
         openapi_version="3.1.0",
@@ -257,37 +253,37 @@ def document(app: FastAPI, scopes: Mapping[str, Scope]) -> dict[str, Any]:
         tags=app.openapi_tags,
         license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
     )
-    _describe_tables(app, found)
+    _describe_tables(app, described)
     template = "#/components/schemas/{model}"
     _, definitions = models_json_schema([(Problem, "serialization")], ref_template=template)
-    schemas = found.setdefault("components", {}).setdefault("schemas", {})
+    schemas = described.setdefault("components", {}).setdefault("schemas", {})
     schemas.update(definitions["$defs"])
     schemas["Uncertain"]["examples"] = Uncertain.model_json_schema()["examples"]  # FastAPI drops the nulls in them
     for name, codes in (("ReasonCode", ReasonCode), ("CloseReason", CloseReason), ("Urgency", Urgency)):
         schemas[name]["description"] = _described(codes)
     for unused in ("HTTPValidationError", "ValidationError"):
         schemas.pop(unused, None)
-    found["components"]["schemas"] = dict(sorted(schemas.items()))
-    found["components"]["headers"] = {
+    described["components"]["schemas"] = dict(sorted(schemas.items()))
+    described["components"]["headers"] = {
         name: {"description": text, "schema": {"type": "string"}} for name, text in RESPONSE_HEADERS.items()
     }
-    describe_properties(found["components"]["schemas"])
-    found["components"]["securitySchemes"] = {KEY: SCHEME}
-    for path, operations in found["paths"].items():
+    describe_properties(schemas)
+    described["components"]["securitySchemes"] = {KEY: SCHEME}
+    for path, operations in described["paths"].items():
         for method, operation in operations.items():
             scope = scopes.get(operation["operationId"], Scope.READ)
             operation["security"] = [] if path in HEALTH else [{KEY: [scope.value]}]
             if any(entry["name"] == "If-None-Match" for entry in operation.get("parameters", ())):
                 operation["responses"]["304"] = {"description": "The client holds it as it is."}
             operation["responses"] = dict(sorted(operation["responses"].items()))
-            _describe_headers(method, operation, found["components"]["schemas"])
+            _describe_headers(method, operation, described["components"]["schemas"])
             for status, response in operation["responses"].items():
                 content = response.get("content", {})
                 if PROBLEM_MEDIA_TYPE in content:
                     content[PROBLEM_MEDIA_TYPE].setdefault("example", _example(path, status, operation["operationId"]))
                 if EVENT_STREAM in content:  # checkers of documents apply the framework's type to each event
                     content[EVENT_STREAM]["schema"].pop("type", None)
-    return found
+    return described
 
 
 def _described(codes: type[ReasonCode | CloseReason | Urgency]) -> str:

@@ -55,22 +55,22 @@ class Page:
 @cache
 def page() -> Page:
     """Return the files of the page, read and compressed once a process."""
-    found = {
+    contents = {
         entry.name: entry.read_bytes()
         for entry in sorted(files("api.page").joinpath("assets").iterdir(), key=lambda entry: entry.name)
         if _suffix(entry.name) in MEDIA_TYPES
     }
     summed = hashlib.blake2b(digest_size=8)
-    for name, content in found.items():
+    for name, content in contents.items():
         summed.update(f"{name}\0{len(content)}\0".encode() + content)
     digest = summed.hexdigest()
-    index = found.pop(INDEX).replace(b'"/assets/', f'"/assets/{digest}/'.encode())
+    index = contents.pop(INDEX).replace(b'"/assets/', f'"/assets/{digest}/'.encode())
     preloads = "".join(
         f'<link rel="modulepreload" href="/assets/{digest}/{name}">\n'
-        for name in sorted(_imported(found, ENTRY) - {ENTRY})
+        for name in sorted(_imported(contents, ENTRY) - {ENTRY})
     )
     index = index.replace(b"<!-- modules -->\n", preloads.encode())
-    return Page(digest, _asset(INDEX, index), {name: _asset(name, content) for name, content in found.items()})
+    return Page(digest, _asset(INDEX, index), {name: _asset(name, content) for name, content in contents.items()})
 
 
 @router.get("/")
@@ -82,10 +82,10 @@ def get_page(request: Request) -> Response:
 @router.get("/assets/{digest}/{name}")
 def get_page_asset(request: Request, digest: str, name: str) -> Response:
     """Return a file of the page of this release."""
-    found = page()
-    if digest != found.digest or name not in found.assets:
+    current = page()
+    if digest != current.digest or name not in current.assets:
         raise HTTPException(HTTPStatus.NOT_FOUND)
-    return _answer(request, found.assets[name], FOR_A_YEAR)
+    return _answer(request, current.assets[name], FOR_A_YEAR)
 
 
 def _answer(request: Request, asset: Asset, kept: str) -> Response:
@@ -99,7 +99,7 @@ def _answer(request: Request, asset: Asset, kept: str) -> Response:
     return Response(asset.plain, headers=headers, media_type=asset.media_type)
 
 
-def _imported(found: Mapping[str, bytes], name: str) -> frozenset[str]:
+def _imported(contents: Mapping[str, bytes], name: str) -> frozenset[str]:
     """Return a module and all that it imports to begin with, directly or not; without what is imported later."""
     modules: set[str] = set()
     waiting = [name]
@@ -107,7 +107,7 @@ def _imported(found: Mapping[str, bytes], name: str) -> frozenset[str]:
         module = waiting.pop()
         if module not in modules:
             modules.add(module)
-            waiting += _IMPORT.findall(found[module].decode())
+            waiting += _IMPORT.findall(contents[module].decode())
     return frozenset(modules)
 
 

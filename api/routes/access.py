@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from http import HTTPStatus
-from typing import Annotated
+from typing import Annotated, Any, Self
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field, Strict, StringConstraints
@@ -37,6 +37,11 @@ class Key(
 
     scopes: list[Scope] = Field(description="What it allows; each scope stands for itself alone.")
 
+    @classmethod
+    def made(cls, value: ApiKey, **more: Any) -> Self:  # noqa: ANN401 - as of every derived class
+        """Return the representation of a key, its scopes in their order."""
+        return super().made(value, scopes=[scope for scope in Scope if scope in value.scopes], **more)
+
 
 class NewKey(Body):
     """A key that is to be made."""
@@ -59,14 +64,6 @@ class AuditRecord(
     """One change, or one request that was refused for want of a right."""
 
 
-def _shown(record: ApiKey) -> Key:
-    return Key.made(record, scopes=_scopes(record))
-
-
-def _scopes(record: ApiKey) -> list[Scope]:
-    return [scope for scope in Scope if scope in record.scopes]
-
-
 router = APIRouter(prefix="/v1", tags=["access"], dependencies=[Depends(requires(Scope.ADMIN, all_fleets=True))])
 Prefix = Annotated[str, Path(pattern=r"^[a-z2-7]{8}$", description="Prefix of the key.", examples=["3fq2xh7a"])]
 
@@ -77,13 +74,13 @@ def list_keys(asked: AskedListDep) -> Response:
     after = asked.after_text({})
     with asked.read() as unit:
         rows = unit.api_keys.page(after, asked.limit + 1)
-    return asked.page({}, rows, lambda record: record.prefix, _shown)
+    return asked.page({}, rows, lambda record: record.prefix, Key.made)
 
 
 @router.get("/keys/{prefix}", response_model=Key, responses=described(404))
 def get_key(asked: AskedDep, prefix: Prefix) -> Response:
     """Return one key, without its secret."""
-    return asked.one(lambda unit: _shown(unit.api_keys.get(prefix)))
+    return asked.one(lambda unit: Key.made(unit.api_keys.get(prefix)))
 
 
 @router.post(
@@ -99,9 +96,8 @@ def create_key(request: Request, services: ServicesDep, caller: CallerDep, body:
     wanted = Wanted(body.owner, frozenset(body.scopes), fleets, body.expires_at)
     with services.storage.write() as unit:
         made, token = make_key(unit, wanted, caller.name or NOBODY_NAMED, services.clock.now_ns())
-    shown = KeyWithSecret.made(made, scopes=_scopes(made), key=token)
     headers = {"Location": f"/v1/keys/{made.prefix}", "Cache-Control": "no-store"}
-    return answer(request, shown, status=HTTPStatus.CREATED, headers=headers)
+    return answer(request, KeyWithSecret.made(made, key=token), status=HTTPStatus.CREATED, headers=headers)
 
 
 @router.post(
@@ -111,7 +107,7 @@ def revoke_key(request: Request, services: ServicesDep, prefix: Prefix) -> Respo
     """Revoke a key for ever; it is refused after at most 5 s."""
     with services.storage.write() as unit:
         revoked = unit.api_keys.revoke(prefix, services.clock.now_ns())
-    return answer(request, _shown(revoked))
+    return answer(request, Key.made(revoked))
 
 
 OfOwner = Annotated[str | None, Query(max_length=100, description="Only of this owner of a key or token.")]

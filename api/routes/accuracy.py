@@ -34,11 +34,12 @@ from estimation.accuracy.fleet_accuracy import (
 from estimation.accuracy.wheel_contact import WheelContact
 from estimation.contact.profiles import Profile
 from estimation.contact.wear import WearMeasures, wear_measures
-from estimation.errors import NotFoundError, ProfileError
+from estimation.errors import ProfileError
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
+from fleet_db.rows import present
 from fleet_db.stores.wheelset_events import newest_measurements
 
 NOT_OBSERVABLE = Reason(
@@ -70,18 +71,20 @@ class NotEstimated(Representation):
     reason_code: ReasonCode
 
 
-class EstimateOfDate(Representation):
+class EstimateOfDate(
+    Derived,
+    of=GeometryRecord,
+    without=("wheelset", "interval", "geometry", "input_digest", "track_versions", "parameters", "code_version"),
+    columns="status reason reason_code baseline mileage_km mileage_apart_km measured_from measured_to recorded_at"
+    " n_windows bins",
+):
     """The estimate that belongs to a measurement: of the same profile, of its mileage interval or the nearest."""
 
     status: Status
     reason: str | None
     reason_code: ReasonCode | None
-    baseline: int
     mileage_km: float | None = Field(description="Weighted mean mileage of its windows.")
     mileage_apart_km: float | None = Field(description="Mileage of the estimate less that of the measurement.")
-    measured_from: Timestamp
-    measured_to: Timestamp
-    recorded_at: Timestamp
     n_windows: int
     bins: Bins = Field(description="Its bin table; intervals of 95 % are 1.96 of the standard deviations.")
 
@@ -129,30 +132,30 @@ class ProfileComparison(Representation):
     links: Links
 
 
-def _profile_comparison(found: Comparison) -> ProfileComparison:
-    one, record = found.measurement, found.estimate.record
-    own = f"/v1/wheelsets/{segment(one.wheelset)}"
+def _profile_comparison(comparison: Comparison) -> ProfileComparison:
+    measured, record = comparison.measurement, comparison.estimate.record
+    path = f"/v1/wheelsets/{segment(measured.wheelset)}"
     return ProfileComparison(
-        wheelset=one.wheelset,
-        measured_at=to_rfc3339(one.at_ns),
-        mileage_km=one.mileage_km,
-        std_mm=one.std * MM,
-        wheels=BothWheels(left=_measures(one.left), right=_measures(one.right)),
+        wheelset=measured.wheelset,
+        measured_at=to_rfc3339(measured.at_ns),
+        mileage_km=measured.mileage_km,
+        std_mm=measured.std * MM,
+        wheels=BothWheels(left=_measures(measured.left), right=_measures(measured.right)),
         estimated_wheels=NotEstimated(
             status=Status.UNESTIMATED, reason=NOT_OBSERVABLE.text, reason_code=NOT_OBSERVABLE.code
         ),
-        measured=profile_contact(found.contact),
-        estimate=None if record is None else _estimate(found, record),
-        **why(found.reason),
-        independent=found.independent,
-        measured_at_bins=_at_bins(found),
+        measured=profile_contact(comparison.contact),
+        estimate=None if record is None else _estimate(comparison, record),
+        **why(comparison.reason),
+        independent=comparison.independent,
+        measured_at_bins=_at_bins(comparison),
         conicity_by_amplitude=[
-            ConicityCompared.made(pair, amplitude_mm=round(pair.amplitude * MM, 3)) for pair in found.conicity
+            ConicityCompared.made(pair, amplitude_mm=round(pair.amplitude * MM, 3)) for pair in comparison.conicity
         ],
         links={
-            "self": _comparison_path(one.wheelset, one.at_ns),
-            "wheelset": own,
-            "measured_profiles": f"{own}/measured-profiles",
+            "self": _comparison_path(measured.wheelset, measured.at_ns),
+            "wheelset": path,
+            "measured_profiles": f"{path}/measured-profiles",
             "accuracy": "/v1/accuracy",
         },
     )
@@ -163,43 +166,37 @@ def _comparison_path(serial: str, at_ns: int) -> str:
 
 
 def _measures(wheel: Profile) -> WheelMeasures:
-    cause, found = None, WearMeasures(*[np.nan] * 4)
+    cause, measures = None, WearMeasures(*[np.nan] * 4)
     try:
-        found = wear_measures(wheel)
+        measures = wear_measures(wheel)
     except ProfileError as error:
         cause = Reason(ReasonCode.PROFILE_INCOMPLETE, str(error))
-    return WheelMeasures.made(found, profile=wheel.name, **why(cause))
+    return WheelMeasures.made(measures, profile=wheel.name, **why(cause))
 
 
-def _estimate(found: Comparison, record: GeometryRecord) -> EstimateOfDate:
-    cause = found.estimate.reason or record.geometry.reason
-    apart = record.mileage_km - found.measurement.mileage_km
-    return EstimateOfDate(
+def _estimate(comparison: Comparison, record: GeometryRecord) -> EstimateOfDate:
+    return EstimateOfDate.made(
+        record,
         status=record.geometry.status,
-        **why(cause),
-        baseline=record.baseline,
-        mileage_km=finite(record.mileage_km),
-        mileage_apart_km=finite(apart),
-        measured_from=to_rfc3339(record.from_ns),
-        measured_to=to_rfc3339(record.to_ns),
-        recorded_at=to_rfc3339(record.recorded_ns),
+        **why(comparison.estimate.reason or record.geometry.reason),
+        mileage_apart_km=finite(record.mileage_km - comparison.measurement.mileage_km),
         n_windows=record.geometry.windows,
         bins=bin_table(record.geometry),
     )
 
 
-def _at_bins(found: Comparison) -> MeasuredAtBins | None:
-    record, contact = found.estimate.record, found.contact
+def _at_bins(comparison: Comparison) -> MeasuredAtBins | None:
+    record, contact = comparison.estimate.record, comparison.contact
     if record is None or not isinstance(contact, WheelContact) or not np.isfinite(contact.zero_crossing):
         return None
     geometry, x = record.geometry, contact.displacement
     if not np.isfinite(geometry.rolling_radius_difference.value).any():
         return None
-    known = np.isfinite(contact.radius_difference)
-    origin = curve_origin(geometry, x[known], contact.radius_difference[known], contact.zero_crossing)
-    at = geometry.bin_centres + origin.displacement
-    value = np.interp(at, x, contact.radius_difference, left=np.nan, right=np.nan) - origin.difference
-    std = np.interp(at, x, contact.radius_difference_std, left=np.nan, right=np.nan)
+    touching = np.isfinite(contact.radius_difference)
+    origin = curve_origin(geometry, x[touching], contact.radius_difference[touching], contact.zero_crossing)
+    places = geometry.bin_centres + origin.displacement
+    value = np.interp(places, x, contact.radius_difference, left=np.nan, right=np.nan) - origin.difference
+    std = np.interp(places, x, contact.radius_difference_std, left=np.nan, right=np.nan)
     return MeasuredAtBins(
         origin_displacement_mm=origin.displacement * MM,
         origin_radius_difference_mm=origin.difference * MM,
@@ -216,9 +213,9 @@ class Coverage(Derived, of=CoverageCount, also=("fraction",)):
     )
 
     @classmethod
-    def made(cls, value: CoverageCount, **own: Any) -> Self:  # noqa: ANN401 - as of every derived class
+    def made(cls, value: CoverageCount, **more: Any) -> Self:  # noqa: ANN401 - as of every derived class
         """Return the representation of a count."""
-        return super().made(value, fraction_interval_95_1=value.interval_95, **own)
+        return super().made(value, fraction_interval_95_1=value.interval_95, **more)
 
 
 class CoverageOfGroup(Derived, of=CoveragePair):
@@ -291,18 +288,18 @@ class Accuracy(Representation):
     links: Links
 
 
-def _accuracy(found: FleetAccuracy, placed: Placed, on_file: int, links: Mapping[str, str]) -> Accuracy:
+def _accuracy(accuracy: FleetAccuracy, placed: Placed, on_file: int, links: Mapping[str, str]) -> Accuracy:
     return Accuracy(
         amplitude_mm=LIMIT_AMPLITUDE * MM,
         on_file=on_file,
         considered=len(placed.rows),
-        coverage=CoverageOfGroup.made(found.at_limit),
+        coverage=CoverageOfGroup.made(accuracy.at_limit),
         coverage_by_amplitude=[
-            CoverageAtAmplitude.made(pair, amplitude_mm=round(a * MM, 3)) for a, pair in found.by_amplitude.items()
+            CoverageAtAmplitude.made(pair, amplitude_mm=round(a * MM, 3)) for a, pair in accuracy.by_amplitude.items()
         ],
-        coverage_by_vehicle_class=[CoverageOfKey.made(pair, key=k) for k, pair in found.by_vehicle_class.items()],
-        coverage_by_track_section=[CoverageOfKey.made(pair, key=k) for k, pair in found.by_section.items()],
-        not_compared=[NotCompared(reason_code=code, measurements=n) for code, n in found.not_compared.items()],
+        coverage_by_vehicle_class=[CoverageOfKey.made(pair, key=k) for k, pair in accuracy.by_vehicle_class.items()],
+        coverage_by_track_section=[CoverageOfKey.made(pair, key=k) for k, pair in accuracy.by_section.items()],
+        not_compared=[NotCompared(reason_code=code, measurements=n) for code, n in accuracy.not_compared.items()],
         measurements=[_row(row) for row in placed.rows],
         unreadable=[
             Unreadable(wheelset=serial, reason=reason.text, reason_code=reason.code)
@@ -329,22 +326,22 @@ def table(rows: Sequence[MeasurementRow]) -> tuple[Sequence[str], list[Sequence[
 
 
 def _row(row: PlacedComparison) -> MeasurementRow:
-    found = row.comparison
-    one = found.measurement
+    comparison = row.comparison
+    measured = comparison.measurement
     return MeasurementRow(
-        wheelset=one.wheelset,
-        measured_at=to_rfc3339(one.at_ns),
-        mileage_km=one.mileage_km,
+        wheelset=measured.wheelset,
+        measured_at=to_rfc3339(measured.at_ns),
+        mileage_km=measured.mileage_km,
         vehicle_class=row.vehicle_class,
         track_sections=list(row.sections),
         outcome=row.outcome,
-        independent=found.independent,
-        measured_1=uncertain(found.at_limit.measured),
-        estimated_1=uncertain(found.at_limit.estimated),
-        **why(found.reason),
+        independent=comparison.independent,
+        measured_1=uncertain(comparison.at_limit.measured),
+        estimated_1=uncertain(comparison.at_limit.estimated),
+        **why(comparison.reason),
         links={
-            "wheelset": f"/v1/wheelsets/{segment(one.wheelset)}",
-            "comparison": _comparison_path(one.wheelset, one.at_ns),
+            "wheelset": f"/v1/wheelsets/{segment(measured.wheelset)}",
+            "comparison": _comparison_path(measured.wheelset, measured.at_ns),
         },
     )
 
@@ -363,11 +360,10 @@ def get_profile_comparison(asked: AskedDep, serial: Serial, measured_at: Measure
     """Return a measurement of both wheels beside the estimate that belongs to its date."""
     with asked.read() as unit:
         wheelset = unit.registry.wheelset(serial)
-        wanted = [one for one in unit.registry.measured_profiles(serial) if one.at_ns == measured_at]
-        found = comparison_reader(asked.services, unit).of_wheelset(wheelset, wanted)
-    if not found:
-        raise NotFoundError("measured profiles", f"{serial} at {to_rfc3339(measured_at)}")
-    return asked.answer(_profile_comparison(found[0]))
+        of_date = [measured for measured in unit.registry.measured_profiles(serial) if measured.at_ns == measured_at]
+        comparisons = comparison_reader(asked.services, unit).of_wheelset(wheelset, of_date)
+    key = f"{serial} at {to_rfc3339(measured_at)}"
+    return asked.answer(_profile_comparison(present(next(iter(comparisons), None), "measured profiles", key)))
 
 
 @router.get("/accuracy", response_model=Accuracy, responses={**described(404), **TABLE})

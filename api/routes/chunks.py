@@ -17,12 +17,13 @@ from api.middleware import turn_of
 from api.problems import ProblemError, described
 from api.routes.recordings import why_in_state
 from api.schemas.common import Links, Representation, segment
-from api.services import Services, ServicesDep
+from api.services import ServicesDep
 from api.times import Timestamp, to_rfc3339
-from estimation.errors import ConflictError, NotFoundError
+from estimation.errors import ConflictError
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import TRIED_AGAIN
 from fleet_db.records import ChunkRecord, ChunkState
+from fleet_db.rows import present
 from ingest import receipts
 from ingest.logs import SUFFIXES
 
@@ -132,8 +133,13 @@ async def put_chunk(
         detail = f"the format {format_!r} is none of {', '.join(FORMATS)}"
         raise ProblemError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", detail)
     suffix = f".{format_.lower()}"
-    if caller.fleets is not None:
-        await run_in_threadpool(_require_visible, services, vehicle)
+
+    def require_visible() -> None:
+        with services.storage.read() as unit:
+            unit.registry.vehicle(vehicle)
+
+    if caller.fleets is not None:  # a vehicle of another fleet is refused as if it did not exist
+        await run_in_threadpool(require_visible)
     name = file_name or f"{vehicle}__{sha256[:12]}{suffix}"
     sender = None if caller.name is None else f"{caller.name} ({caller.identity})"
     wanted = receipts.Chunk(vehicle, suffix, name, sender)
@@ -154,14 +160,4 @@ async def put_chunk(
 @router.get("/{sha256}", response_model=Chunk, responses=described(404))
 def get_chunk(asked: AskedDep, sha256: Sha256) -> Response:
     """Return the receipt of a chunk, and where it stands."""
-    with asked.read() as unit:
-        record = unit.chunks.get(sha256)
-    if record is None:
-        raise NotFoundError("chunk", sha256)
-    return asked.answer(chunk(record))
-
-
-def _require_visible(services: Services, vehicle: str) -> None:
-    """Refuse a vehicle of another fleet, as if it did not exist, to a caller who is bound to fleets."""
-    with services.storage.read() as unit:
-        unit.registry.vehicle(vehicle)
+    return asked.one(lambda unit: chunk(present(unit.chunks.get(sha256), "chunk", sha256)))

@@ -140,8 +140,8 @@ def list_mountings(asked: AskedListDep, serial: Serial) -> Response:
     """List where the wheelset ran, oldest first."""
     with asked.read() as unit:
         unit.registry.wheelset(serial)
-        found = unit.registry.mountings(serial)
-    return asked.numbered({"wheelset": serial}, found, lambda record: record.from_ns, common.MountingPeriod.made)
+        mountings = unit.registry.mountings(serial)
+    return asked.numbered({"wheelset": serial}, mountings, lambda record: record.from_ns, common.MountingPeriod.made)
 
 
 @router.post("/{serial}/mountings", response_model=common.MountingPeriod, **_CHANGE)
@@ -157,7 +157,7 @@ def mount_wheelset(asked: ChangeDep, serial: Serial, body: NewMounting) -> Respo
     source = BodySource({"from": "mounted_from", "wheelset": ""})
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> common.MountingPeriod:
-        if any(one.from_ns == body.mounted_from for one in unit.registry.mountings(serial)):
+        if any(mounting.from_ns == body.mounted_from for mounting in unit.registry.mountings(serial)):
             raise _conflict(serial, "is mounted from this time on file")
         change.enter(unit, decision, RegistryContents(mountings=(mounted,)), source)
         return common.MountingPeriod.made(mounted)
@@ -189,8 +189,8 @@ def exchange_wheelset(asked: ChangeDep, serial: Serial, body: Exchange) -> Respo
     """
     change = RegistryRequest(asked, body)
     change.visible(lambda unit: unit.registry.wheelset(body.fitted))
-    at = {"to": "exchanged_at", "from": "exchanged_at"}
-    source = BodySource({**at, "wheelset_mileage_km": "fitted_mileage_km", "wheelset": "fitted"})
+    times = {"to": "exchanged_at", "from": "exchanged_at"}
+    source = BodySource({**times, "wheelset_mileage_km": "fitted_mileage_km", "wheelset": "fitted"})
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> ExchangeRecord:
         ended = _ended(unit, serial, body.exchanged_at)
@@ -220,8 +220,8 @@ def _conflict(serial: str, why: str) -> ConflictError:
 def list_reprofilings(asked: AskedListDep, serial: Serial) -> Response:
     """List the wheelset's visits to the lathe, oldest first."""
     with asked.read() as unit:
-        found = unit.registry.wheelset(serial).reprofilings
-    return asked.numbered({"wheelset": serial}, found, lambda record: record.at_ns, common.ReprofilingRecord.made)
+        visits = unit.registry.wheelset(serial).reprofilings
+    return asked.numbered({"wheelset": serial}, visits, lambda record: record.at_ns, common.ReprofilingRecord.made)
 
 
 @router.post("/{serial}/reprofilings", response_model=common.ReprofilingRecord, **_CHANGE)
@@ -235,7 +235,7 @@ def add_reprofiling(asked: ChangeDep, serial: Serial, body: NewReprofiling) -> R
     record = Reprofiling(serial, body.reprofiled_at, body.mileage_km, body.note)
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> common.ReprofilingRecord:
-        if any(one.at_ns == record.at_ns for one in unit.registry.wheelset(serial).reprofilings):
+        if any(reprofiling.at_ns == record.at_ns for reprofiling in unit.registry.wheelset(serial).reprofilings):
             reason = "a reprofiling of this wheelset was recorded at the same time; void it to enter another"
             raise ConflictError(reason, kind="wheelset", key=serial)
         change.enter(unit, decision, RegistryContents(reprofilings=(record,)), BodySource({"at": "reprofiled_at"}))
@@ -251,8 +251,8 @@ def list_measured_profiles(asked: AskedListDep, serial: Serial) -> Response:
     """List when the profiles of the wheelset's wheels were measured, oldest first."""
     with asked.read() as unit:
         unit.registry.wheelset(serial)
-        found = unit.registry.measured_profiles(serial)
-    return asked.numbered({"wheelset": serial}, found, lambda record: record.at_ns, common.measured_profiles)
+        measured = unit.registry.measured_profiles(serial)
+    return asked.numbered({"wheelset": serial}, measured, lambda record: record.at_ns, common.measured_profiles)
 
 
 @router.post("/{serial}/measured-profiles", response_model=common.MeasuredProfilesRecord, **_CHANGE)
@@ -266,7 +266,7 @@ def add_measured_profiles(asked: ChangeDep, serial: Serial, body: NewMeasuredPro
     record = MeasuredProfiles(serial, body.measured_at, body.mileage_km, left, right, 1e-3 * body.std_mm)
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> common.MeasuredProfilesRecord:
-        if any(one.at_ns == record.at_ns for one in unit.registry.measured_profiles(serial)):
+        if any(measured.at_ns == record.at_ns for measured in unit.registry.measured_profiles(serial)):
             reason = "profiles of this wheelset were measured at the same time on file; void them to enter others"
             raise ConflictError(reason, kind="wheelset", key=serial)
         change.enter(unit, decision, RegistryContents(measured_profiles=(record,)), BodySource({"at": "measured_at"}))
@@ -290,8 +290,8 @@ def list_sensor_changes(asked: AskedListDep, code: Code) -> Response:
     """List when sensors of the vehicle were exchanged or calibrated, oldest first."""
     with asked.read() as unit:
         unit.registry.vehicle(code)
-        found = unit.sensor_changes.list(code)
-    return asked.numbered({"vehicle": code}, found, lambda record: record.at_ns, SensorChangeRecord.made)
+        changes = unit.sensor_changes.list(code)
+    return asked.numbered({"vehicle": code}, changes, lambda record: record.at_ns, SensorChangeRecord.made)
 
 
 @vehicles_router.post("/{code}/sensor-changes", response_model=SensorChangeRecord, **_CHANGE)

@@ -72,13 +72,13 @@ class DesignContact(Representation):
     links: Links
 
 
-def profile_contact(found: WheelContact | Reason) -> ProfileContact:
+def profile_contact(contact: WheelContact | Reason) -> ProfileContact:
     """Return the representation of a contact geometry, or of why there is none."""
-    if isinstance(found, Reason):
+    if isinstance(contact, Reason):
         return ProfileContact(
             status=Status.UNESTIMATED,
-            reason=found.text,
-            reason_code=found.code,
+            reason=contact.text,
+            reason_code=contact.code,
             rails=[],
             curve=None,
             zero_crossing_mm=None,
@@ -88,12 +88,12 @@ def profile_contact(found: WheelContact | Reason) -> ProfileContact:
         status=Status.ESTIMATED,
         reason=None,
         reason_code=None,
-        rails=[Rails.made(one) for one in found.rails],
-        curve=_curve(found),
-        zero_crossing_mm=finite(found.zero_crossing, MM),
+        rails=[Rails.made(share) for share in contact.rails],
+        curve=_curve(contact),
+        zero_crossing_mm=finite(contact.zero_crossing, MM),
         conicity_by_amplitude=[
             ConicityAtAmplitude(amplitude_mm=round(float(a) * MM, 3), equivalent_conicity_1=uncertain(conicity))
-            for a, conicity in zip(found.amplitude, found.conicity, strict=True)
+            for a, conicity in zip(contact.amplitude, contact.conicity, strict=True)
         ],
     )
 
@@ -106,17 +106,17 @@ def table(contact: ProfileContact) -> tuple[Sequence[str], list[Sequence[object]
     return header, list(zip(*(getattr(contact.curve, name) for name in header), strict=True))
 
 
-def _curve(found: WheelContact) -> ContactCurve:
-    shown = np.abs(found.displacement) <= SHOWN + 1e-9
+def _curve(contact: WheelContact) -> ContactCurve:
+    shown = np.abs(contact.displacement) <= SHOWN + 1e-9
 
     def column(values: np.ndarray) -> list[float | None]:
         return finite_list(np.round(values[shown] * MM, DECIMALS) + 0.0)
 
     return ContactCurve(
-        lateral_displacement_mm=column(found.displacement),
-        rolling_radius_sum_mm=column(found.radius_sum),
-        rolling_radius_difference_mm=column(found.radius_difference),
-        rolling_radius_difference_std_mm=column(found.radius_difference_std),
+        lateral_displacement_mm=column(contact.displacement),
+        rolling_radius_sum_mm=column(contact.radius_sum),
+        rolling_radius_difference_mm=column(contact.radius_difference),
+        rolling_radius_difference_std_mm=column(contact.radius_difference_std),
     )
 
 
@@ -129,14 +129,14 @@ def get_design_contact(asked: AskedDep, accepted: Accepted, serial: Serial) -> R
     with asked.read() as unit:
         wheelset = unit.registry.wheelset(serial)
         rails = comparison_reader(asked.services, unit).rails(serial, unit.geometries.current(serial))
-        found = _design(asked.services, wheelset, rails)
-    own = f"/v1/wheelsets/{segment(wheelset.serial)}"
+        design = _design(asked.services, wheelset, rails)
+    path = f"/v1/wheelsets/{segment(wheelset.serial)}"
     body = DesignContact(
         wheelset=wheelset.serial,
         wheel_profile=wheelset.wheel_profile,
         nominal_radius_mm=wheelset.nominal_radius_m * MM,
-        contact=profile_contact(found),
-        links={"self": f"{own}/contact", "wheelset": own, "geometry": f"{own}/geometry"},
+        contact=profile_contact(design),
+        links={"self": f"{path}/contact", "wheelset": path, "geometry": f"{path}/geometry"},
     )
     return answer_payload(asked.request, table_payload(body, accepted, lambda shown: table(shown.contact)), accepted)
 

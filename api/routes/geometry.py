@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 from fastapi import APIRouter, Response
 
 from api.answers import answer_payload, table_payload
 from api.asking import (
+    Asked,
     AskedDep,
     AskedListDep,
     AsOf,
@@ -30,7 +32,6 @@ from estimation.trend.now import NO_TREND
 from estimation.values.alerts import LimitNow, MileageNow
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.windows import WindowRecord
 from fleet_db.keeping.purge import purged_before
 from fleet_db.keeping.retention import Kept
 from fleet_db.packed_values import from_document
@@ -44,13 +45,24 @@ NOT_KEPT = b""  # stands among the kept representations for one that is made eac
 @router.get("/{serial}/geometry", response_model=geometry.Geometry, responses={**described(404, 410), **TABLE})
 def get_geometry(asked: AskedDep, accepted: Accepted, serial: Serial, as_of: AsOf = None) -> Response:
     """Return the wheelset's bin table and the conicity that follows; as `text/csv`, the bin table alone."""
-    not_in_the_future(as_of, asked.services.clock.now_ns())
+    return _at_time(asked, accepted, serial, as_of, _geometry_now, _geometry_then)
+
+
+def _at_time(
+    asked: Asked,
+    media_type: str,
+    serial: str,
+    as_of_ns: int | None,
+    now: Callable[[SqlUnitOfWork, Services, str, str], bytes],
+    then: Callable[[SqlUnitOfWork, str, str, int], bytes],
+) -> Response:
+    not_in_the_future(as_of_ns, asked.services.clock.now_ns())
     with asked.read() as unit:
-        if as_of is None:
-            payload = _geometry_now(unit, asked.services, serial, accepted)
+        if as_of_ns is None:
+            payload = now(unit, asked.services, serial, media_type)
         else:
-            payload = _geometry_then(unit, serial, accepted, as_of)
-    return answer_payload(asked.request, payload, accepted)
+            payload = then(unit, serial, media_type, as_of_ns)
+    return answer_payload(asked.request, payload, media_type)
 
 
 def _geometry_now(unit: SqlUnitOfWork, services: Services, serial: str, media_type: str) -> bytes:
@@ -71,31 +83,25 @@ def _geometry_now(unit: SqlUnitOfWork, services: Services, serial: str, media_ty
 
 
 def _estimated_geometry(unit: SqlUnitOfWork, serial: str, media_type: str) -> bytes:
-    found = unit.geometries.current(serial)
-    if found is None or found.geometry.status is Status.UNESTIMATED:
+    current = unit.geometries.current(serial)
+    if current is None or current.geometry.status is Status.UNESTIMATED:
         return NOT_KEPT
-    return table_payload(geometry.geometry(found), media_type, geometry.table)
+    return table_payload(geometry.geometry(current), media_type, geometry.table)
 
 
 def _geometry_then(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int) -> bytes:
     baseline = _baseline(unit, serial, as_of_ns)
-    found = unit.geometries.current(serial, as_of_ns)
-    if found is None:
+    then = unit.geometries.current(serial, as_of_ns)
+    if then is None:
         reason = _nothing_until("geometry", as_of_ns)
         return table_payload(geometry.no_geometry(serial, baseline, reason), media_type, geometry.table)
-    return table_payload(geometry.geometry(found), media_type, geometry.table)
+    return table_payload(geometry.geometry(then), media_type, geometry.table)
 
 
 @router.get("/{serial}/trend", response_model=trend.Trend, responses={**described(404, 410), **TABLE})
 def get_trend(asked: AskedDep, accepted: Accepted, serial: Serial, as_of: AsOf = None) -> Response:
     """Return the wheelset's trend since its last reprofiling; as `text/csv`, its points alone."""
-    not_in_the_future(as_of, asked.services.clock.now_ns())
-    with asked.read() as unit:
-        if as_of is None:
-            payload = _trend_now(unit, asked.services, serial, accepted)
-        else:
-            payload = _trend_then(unit, serial, accepted, as_of)
-    return answer_payload(asked.request, payload, accepted)
+    return _at_time(asked, accepted, serial, as_of, _trend_now, _trend_then)
 
 
 def _trend_now(unit: SqlUnitOfWork, services: Services, serial: str, media_type: str) -> bytes:
@@ -107,11 +113,11 @@ def _trend_now(unit: SqlUnitOfWork, services: Services, serial: str, media_type:
         if payload != NOT_KEPT:
             return payload
     baseline, now = len(unit.registry.wheelset(serial).reprofilings), _believed(document)
-    found, current = unit.trends.latest(serial), unit.geometries.current(serial)
+    latest, current = unit.trends.latest(serial), unit.geometries.current(serial)
     has_windows = current is not None and current.geometry.windows > 0
     why = None if has_windows else WindowReasons(unit).without_estimate(serial)
-    if found is not None:
-        return table_payload(trend.trend(found, current, now, why), media_type, trend.table)
+    if latest is not None:
+        return table_payload(trend.trend(latest, current, now, why), media_type, trend.table)
     reason = NO_TREND if why is None else why.reason
     return table_payload(trend.no_trend(serial, baseline, reason, current, now, why), media_type, trend.table)
 
@@ -129,36 +135,36 @@ def _believed(document: str | None) -> LimitNow | None:
 
 
 def _trend_of_geometry(unit: SqlUnitOfWork, serial: str, media_type: str, document: str | None) -> bytes:
-    found, current = unit.trends.latest(serial), unit.geometries.current(serial)
-    if found is None or current is None or not current.geometry.windows:
+    latest, current = unit.trends.latest(serial), unit.geometries.current(serial)
+    if latest is None or current is None or not current.geometry.windows:
         return NOT_KEPT
-    return table_payload(trend.trend(found, current, _believed(document)), media_type, trend.table)
+    return table_payload(trend.trend(latest, current, _believed(document)), media_type, trend.table)
 
 
 def _trend_then(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int) -> bytes:
     baseline = _baseline(unit, serial, as_of_ns)
-    found, current = unit.trends.latest(serial, as_of_ns), unit.geometries.current(serial, as_of_ns)
+    then, current = unit.trends.latest(serial, as_of_ns), unit.geometries.current(serial, as_of_ns)
     mileage = _mileage_then(unit, serial, as_of_ns)
     # times on file are the vehicle's, and ``as_of`` is ours: what was recorded says which profile was the present one
-    if found is not None and (current is None or found.baseline >= current.baseline):
-        return table_payload(trend.trend(found, current, mileage), media_type, trend.table)
+    if then is not None and (current is None or then.baseline >= current.baseline):
+        return table_payload(trend.trend(then, current, mileage), media_type, trend.table)
     reason = _nothing_until("trend", as_of_ns)
     return table_payload(trend.no_trend(serial, baseline, reason, current, mileage), media_type, trend.table)
 
 
 def _mileage_then(unit: SqlUnitOfWork, serial: str, as_of_ns: int) -> MileageNow | None:
     """Return the newest mileage that was believed at a time, of what is believed of it today."""
-    mounted = [one for one in unit.registry.mountings(serial) if one.from_ns <= as_of_ns]
-    known = [MileageNow(one.wheelset_mileage_km, one.from_ns) for one in mounted]
+    mounted = [mounting for mounting in unit.registry.mountings(serial) if mounting.from_ns <= as_of_ns]
+    mileages = [MileageNow(mounting.wheelset_mileage_km, mounting.from_ns) for mounting in mounted]
     newest = unit.windows.mileage_then(serial, as_of_ns)
-    return max([*known, *([] if newest is None else [newest])], key=lambda one: one.at_ns, default=None)
+    return max([*mileages, *([] if newest is None else [newest])], key=lambda mileage: mileage.at_ns, default=None)
 
 
 def _baseline(unit: SqlUnitOfWork, serial: str, as_of_ns: int) -> int:
     """Return the baseline of a time; refuse one of which not everything is kept: of the present everything is."""
     wheelset = unit.registry.wheelset(serial)
     not_purged(as_of_ns, purged_before(unit.connection, Kept.SUPERSEDED_ESTIMATES))
-    return sum(one.at_ns <= as_of_ns for one in wheelset.reprofilings)
+    return sum(reprofiling.at_ns <= as_of_ns for reprofiling in wheelset.reprofilings)
 
 
 def _nothing_until(what: str, as_of_ns: int) -> Reason:
@@ -175,14 +181,10 @@ def list_windows(
     after = asked.after_time(filters, measured_from)
     with asked.read() as unit:
         unit.registry.wheelset(serial)
-        found = unit.windows.page(serial, after, asked.limit + 1)
-        rows = [record for record in found if measured_to is None or record.start_ns < measured_to]
-        reasons = WindowReasons(unit).of_records(rows[: asked.limit])
-
-    def represent(record: WindowRecord) -> windows.Window:
-        return windows.window(record, reasons[record.key])
-
-    return asked.page(filters, rows, lambda record: record.start_ns, represent)
+        records = unit.windows.page(serial, after, asked.limit + 1)
+        rows = [record for record in records if measured_to is None or record.start_ns < measured_to]
+        why = WindowReasons(unit).of_records(rows[: asked.limit])
+    return asked.page(filters, rows, lambda row: row.start_ns, lambda row: windows.window(row, why[row.key]))
 
 
 MOST_STRETCHES = 100
@@ -193,9 +195,9 @@ def list_intervals(asked: AskedListDep, serial: Serial) -> Response:
     """List what was estimated from each mileage interval of the wheelset, over all reprofilings, oldest first."""
     with asked.read() as unit:
         unit.registry.wheelset(serial)
-        found = [one for one in unit.geometries.intervals(serial) if one.geometry.windows]
-    found.sort(key=lambda one: one.mileage_km)
-    return asked.numbered({"wheelset": serial}, found, lambda one: one.from_ns, geometry.interval)
+        intervals = [interval for interval in unit.geometries.intervals(serial) if interval.geometry.windows]
+    intervals.sort(key=lambda interval: interval.mileage_km)
+    return asked.numbered({"wheelset": serial}, intervals, lambda interval: interval.from_ns, geometry.interval)
 
 
 @router.get("/{serial}/data-quality", response_model=geometry.DataQuality, responses=described(404))
@@ -203,6 +205,6 @@ def get_data_quality(asked: AskedDep, serial: Serial) -> Response:
     """Return how many windows of the wheelset are accepted over time, and why the others are not."""
     with asked.read() as unit:
         unit.registry.wheelset(serial)
-        found = window_counts(unit.connection, serial, MOST_STRETCHES)
+        counts = window_counts(unit.connection, serial, MOST_STRETCHES)
         waiting = WindowReasons(unit).waiting(wheelset=serial)
-    return asked.answer(geometry.data_quality(serial, found, waiting))
+    return asked.answer(geometry.data_quality(serial, counts, waiting))

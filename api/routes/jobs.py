@@ -91,7 +91,7 @@ def _run(record: JobRunValue, caller: Caller) -> JobRun:
 
 
 def _job(services: Services, caller: Caller, name: str) -> Job:
-    job, own = services.job(name), f"/v1/jobs/{segment(name)}"
+    job, path = services.job(name), f"/v1/jobs/{segment(name)}"
     with services.storage.read() as unit:
         last = next(iter(unit.jobs.page(name, None, 1)), None)
     return Job(
@@ -100,7 +100,7 @@ def _job(services: Services, caller: Caller, name: str) -> Job:
         every_s=job.every_s,
         last_run=None if last is None else _run(last, caller),
         next_due_at=None if last is None else to_rfc3339(last.started_ns + int(job.every_s * 1e9)),
-        links={"self": own, "runs": f"{own}/runs"},
+        links={"self": path, "runs": f"{path}/runs"},
     )
 
 
@@ -135,9 +135,8 @@ def list_job_runs(asked: AskedListDep, caller: CallerDep, name: Code) -> Respons
 )
 def run_job_now(asked: NewDep, name: Code) -> Response:
     """Run a job now, in the background; `Location` is where its run can be watched."""
-    services = asked.services
-    job = services.job(name)
-    return asked.beside(None, lambda: _run(services.runner.start(job), asked.caller), HTTPStatus.ACCEPTED)
+    job, runner = asked.services.job(name), asked.services.runner
+    return asked.beside(None, lambda: _run(runner.start(job), asked.caller), HTTPStatus.ACCEPTED)
 
 
 @router.get("/job-runs/{run_id}", response_model=JobRun, responses=described(404))
@@ -153,7 +152,6 @@ OfCode = Annotated[ReasonCode | None, Query(description="Only with this reason c
 OfVehicle = Annotated[
     str | None, Query(pattern=CODE, description="Only recordings and windows of this vehicle, and the vehicle itself.")
 ]
-PARTS = 3
 
 
 @quarantine_router.get("", response_model=Page[QuarantinedItem], responses=described(400, 404))
@@ -169,18 +167,13 @@ def list_quarantine(
         )
         if not rows:
             require_known(unit, vehicle=vehicle)
-    return asked.page(filters, rows, _key, _quarantined)
-
-
-def _key(item: Quarantined) -> str:
-    return f"{item.kind}/{item.stage}/{item.key}"
+    return asked.page(filters, rows, lambda item: f"{item.kind}/{item.stage}/{item.key}", _quarantined)
 
 
 def _place(key: str | None) -> Place | None:
     if key is None:
         return None
-    parts = key.split("/", PARTS - 1)
-    if len(parts) != PARTS:
-        raise cursors.refused()
-    kind, stage, subject = parts
-    return kind, subject, stage
+    match key.split("/", 2):
+        case [kind, stage, subject]:
+            return kind, subject, stage
+    raise cursors.refused()

@@ -36,6 +36,7 @@ from estimation.values.runs import Result
 from estimation.values.signatures import ANSWERS, METHOD, Disagreement, SignatureFinding, StateProbability
 from estimation.values.signatures import SignatureAnswer as AnswerValue
 from estimation.values.signatures import UsedEntry as UsedValue
+from fleet_db.rows import present
 
 MM = 1000.0
 NO_GEOMETRY = Estimate.unknown(Reason(ReasonCode.NO_GEOMETRY, "there is no geometry at this amplitude yet"))
@@ -115,46 +116,46 @@ class WheelsetRails(_WheelPart, of=WheelsFinding, without=("amplitude", "part"))
     links: Links
 
 
-def section_rails(found: Result[RailsFinding]) -> SectionRails:
+def section_rails(result: Result[RailsFinding]) -> SectionRails:
     """Return the representation of what was found of a section's rails."""
-    assert found.value is not None
-    record, own = found.value, f"/v1/track-sections/{segment(found.subject)}"
+    assert result.value is not None
+    record, path = result.value, f"/v1/track-sections/{segment(result.subject)}"
     no_trend = record.no_trend if record.trend is None else None
     return SectionRails.made(
         record,
-        **provenance(found),
-        section=found.subject,
-        periods=[_period(one, record.amplitude) for one in record.periods],
+        **provenance(result),
+        section=result.subject,
+        periods=[_period(part, record.amplitude) for part in record.periods],
         trend_reason=text_of(no_trend),
         trend_reason_code=code_of(no_trend),
-        links={"self": f"{own}/rails", "track_section": own},
+        links={"self": f"{path}/rails", "track_section": path},
     )
 
 
-def wheelset_rails(found: Result[WheelsFinding], geometry: GeometryRecord | None) -> WheelsetRails:
+def wheelset_rails(result: Result[WheelsFinding], geometry: GeometryRecord | None) -> WheelsetRails:
     """Return the representation of a wheelset's wheels, beside its geometry."""
-    assert found.value is not None
-    record, part, own = found.value, found.value.part, f"/v1/wheelsets/{segment(found.subject)}"
+    assert result.value is not None
+    record, part, path = result.value, result.value.part, f"/v1/wheelsets/{segment(result.subject)}"
     rows = []
     for amplitude, apart in zip(record.amplitude, part.conicity, strict=True):
         beside = ((ConicityMethod.WHEEL_AND_RAIL_APART, apart), (ConicityMethod.GEOMETRY, _at(geometry, amplitude)))
-        conicities = [ConicityBySource(method=how, equivalent_conicity_1=uncertain(one)) for how, one in beside]
+        conicities = [ConicityBySource(method=how, equivalent_conicity_1=uncertain(value)) for how, value in beside]
         rows.append(ConicitiesAtAmplitude(amplitude_mm=amplitude * MM, conicities=conicities))
-    known = any(one.status is Status.ESTIMATED for one in part.conicity)
+    is_known = any(conicity.status is Status.ESTIMATED for conicity in part.conicity)
     return WheelsetRails.made(
         record,
         **_WheelPart.parts(part),
-        **provenance(found),
-        wheelset=found.subject,
+        **provenance(result),
+        wheelset=result.subject,
         baseline=part.wheel.baseline,
         geometry_baseline=None if geometry is None else geometry.baseline,
         interval=part.wheel.interval,
         by_amplitude=rows,
-        status=Status.ESTIMATED if known else Status.UNESTIMATED,
+        status=Status.ESTIMATED if is_known else Status.UNESTIMATED,
         links={
-            "self": f"{own}/rails",
-            "wheelset": own,
-            "geometry": f"{own}/geometry",
+            "self": f"{path}/rails",
+            "wheelset": path,
+            "geometry": f"{path}/geometry",
             **{f"rails:{code}": f"/v1/track-sections/{segment(code)}/rails" for code in part.sections},
         },
     )
@@ -166,21 +167,21 @@ def _period(part: RailPart, amplitude: Sequence[float]) -> RailsPeriod:
         part,
         by_amplitude=[
             RailsAtAmplitude(
-                amplitude_mm=at * MM,
-                rail_part_1=uncertain(own),
+                amplitude_mm=motion * MM,
+                rail_part_1=uncertain(rail),
                 reference_wheel_conicity_1=uncertain(wheel),
                 excess_1=uncertain(excess),
             )
-            for at, own, wheel, excess in columns
+            for motion, rail, wheel, excess in columns
         ],
     )
 
 
 def _at(geometry: GeometryRecord | None, amplitude: float) -> Estimate:
     if geometry is not None:
-        for at, one in zip(geometry.geometry.amplitude, geometry.geometry.conicity, strict=True):
-            if abs(float(at) - amplitude) < SAME_AMPLITUDE:
-                return one
+        for other, conicity in zip(geometry.geometry.amplitude, geometry.geometry.conicity, strict=True):
+            if abs(float(other) - amplitude) < SAME_AMPLITUDE:
+                return conicity
     return NO_GEOMETRY
 
 
@@ -203,9 +204,9 @@ class PlaceFriction(Derived, of=CellFriction, without=("cell", "at_least", "vehi
     at_least_1: float | None = Field(description="Lower end of the 95 % interval; null where nothing is known.")
 
     @classmethod
-    def made(cls, value: CellFriction, **own: Any) -> Self:  # noqa: ANN401 - as of every derived class
+    def made(cls, value: CellFriction, **more: Any) -> Self:  # noqa: ANN401 - as of every derived class
         """Return the representation of a place."""
-        return super().made(value, at_least_1=value.at_least or None, **own)
+        return super().made(value, at_least_1=value.at_least or None, **more)
 
 
 class LeftOutFriction(Derived, of=LeftOut):
@@ -219,13 +220,13 @@ class SectionAdhesion(Derived, of=FrictionValue, without=("certain_stretches",))
     links: Links
 
 
-def section_adhesion(found: FrictionValue) -> SectionAdhesion:
+def section_adhesion(friction: FrictionValue) -> SectionAdhesion:
     """Return the representation of the friction of a section."""
-    own = f"/v1/track-sections/{segment(found.track_section)}"
+    path = f"/v1/track-sections/{segment(friction.track_section)}"
     return SectionAdhesion.made(
-        found,
-        low_stretches=[Stretch(**dict(zip(("from_m", "to_m"), ends, strict=True))) for ends in found.low_stretches],
-        links={"self": f"{own}/adhesion", "section": own, "alerts": "/v1/alerts?kind=low_adhesion"},
+        friction,
+        low_stretches=[Stretch(**dict(zip(("from_m", "to_m"), ends, strict=True))) for ends in friction.low_stretches],
+        links={"self": f"{path}/adhesion", "section": path, "alerts": "/v1/alerts?kind=low_adhesion"},
     )
 
 
@@ -262,15 +263,20 @@ class SignatureAnswer(_Said, of=SignatureFinding, without=("answer", "signatures
 def signature_answer(result: Result[SignatureFinding], seen: Collection[str]) -> SignatureAnswer:
     """Return the representation of an answer."""
     assert result.value is not None
-    found, own = result.value.answer, f"/v1/wheelsets/{segment(result.subject)}"
+    said, path = result.value.answer, f"/v1/wheelsets/{segment(result.subject)}"
     return SignatureAnswer.made(
         result.value,
         **provenance(result),
-        **dict(_Said.made(found)),
+        **dict(_Said.made(said)),
         method=METHOD,
-        state=StateOfWear.made(most_likely(found.states)) if found.states else None,
-        used_entries=[UsedEntry.made(one) for one in found.used if one.wheelset in seen],
-        links={"self": f"{own}/signature", "wheelset": own, "geometry": f"{own}/geometry", "windows": f"{own}/windows"},
+        state=StateOfWear.made(most_likely(said.states)) if said.states else None,
+        used_entries=[UsedEntry.made(entry) for entry in said.used if entry.wheelset in seen],
+        links={
+            "self": f"{path}/signature",
+            "wheelset": path,
+            "geometry": f"{path}/geometry",
+            "windows": f"{path}/windows",
+        },
     )
 
 
@@ -282,10 +288,8 @@ def get_wheelset_rails(asked: AskedDep, serial: Serial) -> Response:
     """Return the conicity of the wheels without the rails they ran on, beside that of the geometry."""
     with asked.read() as unit:
         unit.registry.wheelset(serial)
-        found, current = unit.results.latest(WHEELSET_RAILS, serial), unit.geometries.current(serial)
-    if found is None:
-        raise NotFoundError("rails yet of wheelset", serial)
-    return asked.answer(wheelset_rails(found, current))
+        rails, current = unit.results.latest(WHEELSET_RAILS, serial), unit.geometries.current(serial)
+    return asked.answer(wheelset_rails(present(rails, "rails yet of wheelset", serial), current))
 
 
 @router.get(
@@ -303,9 +307,9 @@ def list_creep_forces(
     after = asked.after_time(filters, measured_from)
     with asked.read() as unit:
         unit.registry.wheelset(serial)
-        found = unit.adhesion.of_wheelset(serial, after, asked.limit + 1)
-    rows = [one for one in found if measured_to is None or one.start_ns < measured_to]
-    return asked.page(filters, rows, lambda one: one.start_ns, WindowCreep.made)
+        windows = unit.adhesion.of_wheelset(serial, after, asked.limit + 1)
+    rows = [window for window in windows if measured_to is None or window.start_ns < measured_to]
+    return asked.page(filters, rows, lambda window: window.start_ns, WindowCreep.made)
 
 
 @router.get(
@@ -315,11 +319,12 @@ def get_signature(asked: AskedDep, serial: Serial) -> Response:
     """Return what a library of the other wheelsets' raw signals says of the wheelset, beside its geometry."""
     with asked.read() as unit:
         unit.registry.wheelset(serial)
-        found = unit.results.latest(ANSWERS, serial)
-        if found is None or found.value is None:
+        latest = unit.results.latest(ANSWERS, serial)
+        if latest is None or latest.value is None:
             raise NotFoundError("signature yet of wheelset", serial)
-        seen = {one.serial for one in unit.registry.wheelsets_of([one.wheelset for one in found.value.answer.used])}
-    return asked.answer(signature_answer(found, seen))
+        used = [entry.wheelset for entry in latest.value.answer.used]
+        seen = {wheelset.serial for wheelset in unit.registry.wheelsets_of(used)}
+    return asked.answer(signature_answer(latest, seen))
 
 
 @router.get(
@@ -333,10 +338,8 @@ def get_adhesion(
     """Return the friction along the section, pooled over the fleets, and where it is low."""
     with asked.read() as unit:
         unit.tracks.section(code)
-        found = unit.adhesion.section(code, at)
-    if found is None:
-        raise NotFoundError("adhesion yet of track section", code)
-    return asked.answer(section_adhesion(found))
+        friction = unit.adhesion.section(code, at)
+    return asked.answer(section_adhesion(present(friction, "adhesion yet of track section", code)))
 
 
 @router.get(
@@ -346,7 +349,5 @@ def get_section_rails(asked: AskedDep, code: Code) -> Response:
     """Return what belongs to the rails of the section, in the conicities of the wheelsets that ran on it."""
     with asked.read() as unit:
         unit.tracks.section(code)
-        found = unit.results.latest(SECTION_RAILS, code)
-    if found is None:
-        raise NotFoundError("rails yet of track section", code)
-    return asked.answer(section_rails(found))
+        rails = unit.results.latest(SECTION_RAILS, code)
+    return asked.answer(section_rails(present(rails, "rails yet of track section", code)))

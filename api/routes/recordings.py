@@ -28,11 +28,11 @@ from api.problems import described
 from api.schemas.common import Body, Derived, Links, Page, Representation, segment, without_folders
 from api.services import Services, ServicesDep, require_known, writer_slot
 from api.times import Moment
-from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.windows import WindowState
-from fleet_db.records import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState, RecordingAction
 from fleet_db.records import RecordingChange as Change
+from fleet_db.rows import present
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.chunks import ChosenChunks
 from ingest.corrections import Author, RecordingCorrections
@@ -197,16 +197,14 @@ def get_recording(asked: AskedDep, digest: Digest) -> Response:
 
 
 def _with_history(unit: SqlUnitOfWork, digest: str) -> RecordingWithHistory:
-    record = unit.chunks.get(digest)
-    if record is None:
-        raise NotFoundError("recording", digest)
+    record = present(unit.chunks.get(digest), "recording", digest)
     windows, changes = unit.chunks.window_counts(record), unit.recording_changes.list(digest)
     by_state = {state.value: windows.get(state, 0) for state in WindowState}
     return RecordingWithHistory.made(
         record,
         **_fields(record),
         windows=RecordingWindows(made=sum(windows.values()), **by_state),
-        changes=[RecordingChange.made(one) for one in changes],
+        changes=[RecordingChange.made(change) for change in changes],
     )
 
 
@@ -214,13 +212,9 @@ def _place(key: str | None) -> tuple[int, str] | None:
     if key is None:
         return None
     received, separator, digest = key.partition("/")
-    if (
-        not separator
-        or not received.removeprefix("-").isdecimal()
-        or not -cursors.INT64 <= int(received) < cursors.INT64
-    ):
-        raise cursors.refused()
-    return int(received), digest
+    if separator and received.removeprefix("-").isdecimal() and cursors.is_number(int(received)):
+        return int(received), digest
+    raise cursors.refused()
 
 
 corrections_router = APIRouter(
@@ -240,15 +234,19 @@ def reassign_recording(asked: NewDep, digest: Digest, body: Reassignment) -> Res
     with asked.read() as unit:
         unit.registry.vehicle(body.vehicle)  # one of another fleet is not found
     author = _author(asked.caller, body)
-    return _correct(asked, digest, body, lambda made: made.reassign(digest, body.vehicle, author))
+    return _correct(
+        asked, digest, body, lambda made: made.correct(digest, RecordingAction.REASSIGN, author, body.vehicle)
+    )
 
 
 @corrections_router.post("/{digest}/retry", response_model=RecordingWithHistory, responses=_REFUSALS)
 def retry_recording(asked: NewDep, digest: Digest, body: Retry) -> Response:
     """Let a rejected or waiting recording be decoded again, by the next run of `assemble_windows`."""
     author = _author(asked.caller, body)
+    behind = body.clock_was_behind
     return _correct(
-        asked, digest, body, lambda made: made.retry(digest, author, our_clock_was_behind=body.clock_was_behind)
+        *(asked, digest, body),
+        lambda made: made.correct(digest, RecordingAction.RETRY, author, our_clock_was_behind=behind),
     )
 
 

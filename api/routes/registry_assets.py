@@ -136,11 +136,11 @@ def add_vehicle_class(asked: NewDep, body: VehicleClassFile) -> Response:
     The content of the newest version again changes nothing.
     """
     change = RegistryRequest(asked, body)
-    found = _class(body.text)
+    vehicle_class = _class(body.text)
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> vehicles.VehicleClassRepresentation:
-        change.enter(unit, decision, RegistryContents(classes=(found,)), BodySource({"code": "text"}))
-        stored = unit.registry.vehicle_class(found.code)
+        change.enter(unit, decision, RegistryContents(classes=(vehicle_class,)), BodySource({"code": "text"}))
+        stored = unit.registry.vehicle_class(vehicle_class.code)
         assert stored is not None
         return vehicles.vehicle_class(stored)
 

@@ -22,15 +22,15 @@ from api.schemas.common import Body, Derived, Page, Representation
 from api.services import writer_slot
 from api.times import Moment, Timestamp, to_rfc3339
 from estimation.contact.profiles import MeasuredProfiles
-from estimation.errors import NotFoundError, TreadwatchError
-from estimation.values.registry import Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.errors import TreadwatchError
+from estimation.values.registry import Mounting, Reprofiling, SensorChange, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
 from estimation.vehicle.vehicle_class import ClassOnFile, class_of_document
 from fleet_db.packed_values import unpack_wheel_pair
 from fleet_db.records import Decision, RecordAction, RecordKind, RegistryEvent
+from fleet_db.rows import present, value_of_row
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
-from fleet_db.stores.wheelset_events import sensor_change_of
 from ingest.registry_entry.enter import refuse_contradicted
 
 RecordKindName = Literal[
@@ -116,26 +116,23 @@ def _record(kind: RecordKind, values: Mapping[str, Any] | None) -> Record | None
 def _represented(kind: RecordKind, values: dict[str, Any]) -> Record:  # noqa: PLR0911 - one line a kind
     match kind:
         case RecordKind.MOUNTING:
-            return common.MountingPeriod.made(Mounting(**values))
+            return common.MountingPeriod.made(value_of_row(Mounting, values))
         case RecordKind.REPROFILING:
-            return common.ReprofilingRecord.made(Reprofiling(**values))
+            return common.ReprofilingRecord.made(value_of_row(Reprofiling, values))
         case RecordKind.MEASUREMENT:
             left, right = unpack_wheel_pair(base64.b64decode(values["packed"]), where="history of the registry")
-            measured = MeasuredProfiles(
-                values["wheelset"], values["at_ns"], values["mileage_km"], left, right, values["std_m"]
-            )
+            measured = value_of_row(MeasuredProfiles, values, left=left, right=right, std=values["std_m"])
             return common.measured_profiles(measured)
         case RecordKind.WHEELSET:
-            names = ("serial", "fleet", "wheel_profile", "nominal_radius_m")
-            return WheelsetValues.made(WheelsetRecord(**{name: values[name] for name in names}, mounting=None))
+            return WheelsetValues.made(value_of_row(WheelsetRecord, values))
         case RecordKind.VEHICLE:
-            return common.Vehicle.made(VehicleRecord(**(values | {"axle_offsets_m": tuple(values["axle_offsets_m"])})))
+            return common.Vehicle.made(value_of_row(VehicleRecord, values))
         case RecordKind.VEHICLE_CLASS:
             return vehicles.vehicle_class(ClassOnFile(class_of_document(values)))
         case RecordKind.SECTION:
-            return tracks.section(TrackSectionRecord(**values))
+            return tracks.section(value_of_row(TrackSectionRecord, values))
         case RecordKind.SENSOR_CHANGE:
-            return SensorChangeRecord.made(sensor_change_of(values))
+            return SensorChangeRecord.made(value_of_row(SensorChange, values))
 
 
 router = APIRouter(prefix="/v1/registry", tags=["registry"])
@@ -207,12 +204,10 @@ def _asset(unit: SqlUnitOfWork, key: RecordKey) -> BaseModel:
         return common.Vehicle.made(unit.registry.vehicle(key.subject))
     if key.kind not in _SHARED:
         return common.wheelset(unit.registry.wheelset(key.subject))
-    if key.kind is RecordKind.SECTION and any(one.code == key.subject for one in unit.tracks.sections()):
+    if key.kind is RecordKind.SECTION and any(section.code == key.subject for section in unit.tracks.sections()):
         return tracks.section(unit.tracks.section(key.subject))
-    found = unit.registry.vehicle_class(key.subject) if key.kind is RecordKind.VEHICLE_CLASS else None
-    if found is not None:
-        return vehicles.vehicle_class(found)
-    voided = unit.registry_history.latest(key, RecordAction.VOIDED)
-    if voided is None:
-        raise NotFoundError(key.kind.value, key.subject)
+    on_file = unit.registry.vehicle_class(key.subject) if key.kind is RecordKind.VEHICLE_CLASS else None
+    if on_file is not None:
+        return vehicles.vehicle_class(on_file)
+    voided = present(unit.registry_history.latest(key, RecordAction.VOIDED), key.kind.value, key.subject)
     return _shown_decision(voided)  # there is no other representation of it: send If-Match: *

@@ -12,9 +12,9 @@ from api.asking import AskedDep, AskedListDep, Code
 from api.problems import described
 from api.schemas.common import Derived, Links, Page, Representation, finite, finite_list, segment
 from api.times import Timestamp, to_rfc3339
-from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode
 from estimation.values.track import AlignmentRecord, Iterated, TrackAlignment, TrackReport, TrackSectionRecord
+from fleet_db.rows import present
 from fleet_db.storage import SqlUnitOfWork
 
 MM = 1000.0
@@ -148,24 +148,24 @@ def section(record: TrackSectionRecord) -> TrackSection:
     return TrackSection.made(record, coordinates=line)
 
 
-def alignment(found: TrackAlignment, record: AlignmentRecord, made_by: TrackReport | None) -> Alignment:
+def alignment(columns: TrackAlignment, record: AlignmentRecord, made_by: TrackReport | None) -> Alignment:
     """Return the representation of an alignment."""
-    unknown: list[float | None] = [None] * len(found.s)
+    unknown: list[float | None] = [None] * len(columns.s)
     return Alignment.made(
         record,
-        position_m=[float(s) for s in found.s],
-        alignment_mm=finite_list(found.alignment, MM),
-        alignment_std_mm=finite_list(found.alignment_std, MM),
-        gauge_deviation_mm=finite_list(found.gauge_deviation, MM) if found.gauge_known else unknown,
-        gauge_deviation_std_mm=finite_list(found.gauge_deviation_std, MM) if found.gauge_known else unknown,
-        passes=[int(n) for n in found.passes],
+        position_m=[float(s) for s in columns.s],
+        alignment_mm=finite_list(columns.alignment, MM),
+        alignment_std_mm=finite_list(columns.alignment_std, MM),
+        gauge_deviation_mm=finite_list(columns.gauge_deviation, MM) if columns.gauge_known else unknown,
+        gauge_deviation_std_mm=finite_list(columns.gauge_deviation_std, MM) if columns.gauge_known else unknown,
+        passes=[int(n) for n in columns.passes],
         report=None if made_by is None else report(made_by),
     )
 
 
 def report(record: TrackReport) -> AlignmentReport:
     """Return the representation of what a run found."""
-    own = f"/v1/track-sections/{segment(record.section)}"
+    path = f"/v1/track-sections/{segment(record.section)}"
     report = record.report
     in_force = {} if record.version is None else {"alignment": _path(record.section, record.version)}
     return AlignmentReport.made(
@@ -177,7 +177,7 @@ def report(record: TrackReport) -> AlignmentReport:
         covered_1=_scaled(report.get("covered")),
         convergence=[_convergence(item) for item in _listed(report.get("convergence"))],
         journeys=[_journey(item) for item in _listed(report.get("journeys"))],
-        links={"self": f"{own}/alignment-report", "section": own, **in_force},
+        links={"self": f"{path}/alignment-report", "section": path, **in_force},
         **{name: report.get(name, missing) for name, missing in _AS_STORED.items()},
     )
 
@@ -237,20 +237,19 @@ def _seen(unit: SqlUnitOfWork, report: TrackReport | None) -> TrackReport | None
     if report is None:
         return None
     journeys = report.report.get("journeys")
-    named = {one["vehicle"] for one in journeys if isinstance(one, dict)} if isinstance(journeys, list) else set()
+    listed = [journey for journey in _listed(journeys) if isinstance(journey, dict)]
+    named = {journey["vehicle"] for journey in listed}
     hidden = named - unit.registry.visible_vehicles(sorted(map(str, named)))
-    if not hidden or not isinstance(journeys, list):
-        return report
-    kept: list[Any] = [one for one in journeys if isinstance(one, dict) and one["vehicle"] not in hidden]
-    return replace(report, report={**report.report, "journeys": kept})
+    seen: list[Any] = [journey for journey in listed if journey["vehicle"] not in hidden]
+    return replace(report, report={**report.report, "journeys": seen}) if hidden else report
 
 
 @router.get("", response_model=Page[TrackSection], responses=described(400))
 def list_track_sections(asked: AskedListDep) -> Response:
     """List the track sections, by code."""
     with asked.read() as unit:
-        found = unit.tracks.sections()
-    return asked.named(found, lambda record: record.code, section)
+        sections = unit.tracks.sections()
+    return asked.named(sections, lambda record: record.code, section)
 
 
 @router.get("/{code}", response_model=TrackSection, responses=described(404))
@@ -264,13 +263,11 @@ def get_alignment(asked: AskedDep, code: Code, version: Version = None) -> Respo
     """Return what is known of the section's alignment and gauge, and how it was found."""
     with asked.read() as unit:
         unit.tracks.section(code)
-        found = unit.tracks.alignment(code, version)
-        if found is None:
-            what = code if version is None else f"{code} version {version}"
-            raise NotFoundError("alignment of track section", what)
-        (record,) = unit.tracks.versions(code, found.version - 1, 1)
-        report = _seen(unit, unit.tracks.report(code, found.version))
-    return asked.answer(alignment(found, record, report))
+        what = code if version is None else f"{code} version {version}"
+        columns = present(unit.tracks.alignment(code, version), "alignment of track section", what)
+        (record,) = unit.tracks.versions(code, columns.version - 1, 1)
+        report = _seen(unit, unit.tracks.report(code, columns.version))
+    return asked.answer(alignment(columns, record, report))
 
 
 @router.get("/{code}/alignments", response_model=Page[AlignmentSummary], responses=described(400, 404))
@@ -280,8 +277,8 @@ def list_alignments(asked: AskedListDep, code: Code) -> Response:
     after = asked.after_number(filters)
     with asked.read() as unit:
         unit.tracks.section(code)
-        found = unit.tracks.versions(code, after, asked.limit + 1)
-    return asked.page(filters, found, lambda record: record.version, AlignmentSummary.made)
+        versions = unit.tracks.versions(code, after, asked.limit + 1)
+    return asked.page(filters, versions, lambda record: record.version, AlignmentSummary.made)
 
 
 @router.get("/{code}/alignment-report", response_model=AlignmentReport, responses=described(404))
@@ -289,7 +286,5 @@ def get_alignment_report(asked: AskedDep, code: Code) -> Response:
     """Return what the last run of the alignment job found of the section, also where it found nothing."""
     with asked.read() as unit:
         unit.tracks.section(code)
-        found = _seen(unit, unit.tracks.report(code))
-    if found is None:
-        raise NotFoundError("alignment report yet of track section", code)
-    return asked.answer(report(found))
+        last = _seen(unit, unit.tracks.report(code))
+    return asked.answer(report(present(last, "alignment report yet of track section", code)))

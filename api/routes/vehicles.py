@@ -15,7 +15,6 @@ from api.schemas import common
 from api.schemas.common import Derived, Links, Page, Representation, finite, segment
 from api.services import require_known
 from api.times import Timestamp, to_rfc3339
-from estimation.errors import NotFoundError
 from estimation.trend.suspension import SuspensionParameters, suspension_changes
 from estimation.values.opinions import GearDamper
 from estimation.values.trend import SuspensionChange, SuspensionFinding
@@ -28,6 +27,7 @@ from estimation.vehicle.vehicle_class import (
     VehicleClass,
     VehicleParameters,
 )
+from fleet_db.rows import present
 from ingest.vehicle_class_schema import shipped_class, shipped_classes
 
 _UNITS: Mapping[str, str] = {
@@ -94,35 +94,32 @@ class VehicleClassRepresentation(Representation):
 
 def vehicle_class(record: ClassOnFile) -> VehicleClassRepresentation:
     """Return the representation of a version of a class."""
-    found = record.vehicle_class
-    own = f"/v1/vehicle-classes/{segment(found.code)}"
+    of_class = record.vehicle_class
+    path = f"/v1/vehicle-classes/{segment(of_class.code)}"
     version = None if record.version == SHIPPED_VERSION else record.version
-    links = {"self": own}
+    links = {"self": path}
     if version is not None:
-        links["as_recorded"] = f"{own}?version={version}"
+        links["as_recorded"] = f"{path}?version={version}"
     return VehicleClassRepresentation(
-        code=found.code,
-        name=found.name,
-        source=found.source,
-        arrangement=found.arrangement,
+        **{name: getattr(of_class, name) for name in ("code", "name", "source", "arrangement")},
         version=version,
         recorded_at=None if record.recorded_ns is None else to_rfc3339(record.recorded_ns),
         digest=record.digest,
-        wheelset=_parameters(found, found.parameters),
-        bogie=None if found.bogie is None else _parameters(found, found.bogie),
-        sensors=_sensors(found.sensors),
+        wheelset=_parameters(of_class, of_class.parameters),
+        bogie=None if of_class.bogie is None else _parameters(of_class, of_class.bogie),
+        sensors=_sensors(of_class.sensors),
         links=links,
     )
 
 
 def _parameters(of_class: VehicleClass, values: VehicleParameters | BogieParameters) -> list[Parameter]:
-    found = []
-    for item in fields(values):
-        value = float(getattr(values, item.name))
-        std = of_class.std_of(item.name) * abs(value)
-        unit = next(unit for end, unit in _UNITS.items() if item.name.endswith(end))
-        found.append(Parameter(name=item.name, value=value, std=std, unit=unit))
-    return found
+    parameters = []
+    for field in fields(values):
+        value = float(getattr(values, field.name))
+        std = of_class.std_of(field.name) * abs(value)
+        unit = next(unit for end, unit in _UNITS.items() if field.name.endswith(end))
+        parameters.append(Parameter(name=field.name, value=value, std=std, unit=unit))
+    return parameters
 
 
 def _sensors(layout: SensorLayout) -> Sensors:
@@ -136,11 +133,11 @@ def _sensors(layout: SensorLayout) -> Sensors:
         Sensor(
             name=name,
             unit=units[name],
-            noise_density=one.noise_density,
-            scale_std_1=one.scale_std,
-            limit=finite(one.limit),
+            noise_density=channel.noise_density,
+            scale_std_1=channel.scale_std,
+            limit=finite(channel.limit),
         )
-        for name, one in layout.channels.items()
+        for name, channel in layout.channels.items()
     ]
     return Sensors(rate_hz=layout.rate_hz, measures_gravity=layout.measures_gravity, channels=channels)
 
@@ -190,17 +187,16 @@ fleets_router = APIRouter(prefix="/v1/fleets", tags=["fleets"])
 def list_fleets(asked: AskedListDep) -> Response:
     """List the fleets, by code."""
     with asked.read() as unit:
-        found = unit.registry.fleets()
-    return asked.named(found, lambda record: record.code, common.Fleet.made)
+        fleets = unit.registry.fleets()
+    return asked.named(fleets, lambda record: record.code, common.Fleet.made)
 
 
 @fleets_router.get("/{code}", response_model=common.Fleet, responses=described(404))
 def get_fleet(asked: AskedDep, code: Code) -> Response:
     """Return one fleet."""
     with asked.read() as unit:
-        require_known(unit, fleet=code)
-        (found,) = (record for record in unit.registry.fleets() if record.code == code)
-    return asked.answer(common.Fleet.made(found))
+        fleet = next((record for record in unit.registry.fleets() if record.code == code), None)
+    return asked.answer(common.Fleet.made(present(fleet, "fleet", code)))
 
 
 router = APIRouter(prefix="/v1", tags=["vehicles"])
@@ -233,13 +229,13 @@ def get_suspension(asked: AskedDep, code: Code) -> Response:
         findings = unit.suspensions.list(code)
         newest = unit.suspensions.newest(usual.recent + usual.most_past)
     change = suspension_changes(newest, usual).get(code)
-    own = f"/v1/vehicles/{segment(code)}"
+    path = f"/v1/vehicles/{segment(code)}"
     return asked.answer(
         Suspension(
             vehicle=code,
-            findings=[SuspensionResult.made(one) for one in findings],
+            findings=[SuspensionResult.made(finding) for finding in findings],
             change=None if change is None else SuspensionShift.made(change),
-            links={"self": f"{own}/suspension", "vehicle": own},
+            links={"self": f"{path}/suspension", "vehicle": path},
         )
     )
 
@@ -249,10 +245,10 @@ def get_dampers(asked: AskedDep, code: Code) -> Response:
     """Return the state of the lateral dampers of a vehicle, one for each running gear."""
     with asked.read() as unit:
         unit.registry.vehicle(code)
-        found = unit.dampers.of_vehicle(code)
-    own = f"/v1/vehicles/{segment(code)}"
-    links = {"self": f"{own}/dampers", "vehicle": own}
-    return asked.answer(Dampers(vehicle=code, dampers=[DamperState.made(one) for one in found], links=links))
+        dampers = [DamperState.made(damper) for damper in unit.dampers.of_vehicles([code])]
+    path = f"/v1/vehicles/{segment(code)}"
+    links = {"self": f"{path}/dampers", "vehicle": path}
+    return asked.answer(Dampers(vehicle=code, dampers=dampers, links=links))
 
 
 Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out, the latest.")]
@@ -262,16 +258,15 @@ Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out,
 def list_vehicle_classes(asked: AskedListDep) -> Response:
     """List the newest version of each vehicle class, by code; those of the package too, unless registered again."""
     with asked.read() as unit:
-        registered = {found.vehicle_class.code: found for found in unit.registry.vehicle_classes()}
-    known = {code: ClassOnFile(shipped_class(code)) for code in shipped_classes()} | registered
-    return asked.named(known.values(), lambda found: found.vehicle_class.code, vehicle_class)
+        registered = {record.vehicle_class.code: record for record in unit.registry.vehicle_classes()}
+    classes = {code: ClassOnFile(shipped_class(code)) for code in shipped_classes()} | registered
+    return asked.named(classes.values(), lambda record: record.vehicle_class.code, vehicle_class)
 
 
 @router.get("/vehicle-classes/{code}", response_model=VehicleClassRepresentation, responses=described(404))
 def get_vehicle_class(asked: AskedDep, code: Code, version: Version = None) -> Response:
     """Return one vehicle class: each parameter with its standard deviation."""
-    with asked.read() as unit:
-        found = unit.registry.vehicle_class(code, version)
-    if found is None:
-        raise NotFoundError("vehicle class", code if version is None else f"{code} version {version}")
-    return asked.answer(vehicle_class(found))
+    what = code if version is None else f"{code} version {version}"
+    return asked.one(
+        lambda unit: vehicle_class(present(unit.registry.vehicle_class(code, version), "vehicle class", what))
+    )

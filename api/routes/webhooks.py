@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from dataclasses import replace
 from http import HTTPStatus
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import AfterValidator, Field, Strict, StringConstraints
@@ -73,6 +73,12 @@ class Webhook(
     fleets: list[str] = Field(description=FLEETS, examples=[["alpha"]])
     kinds: list[str] = Field(description=KINDS)
     severities: list[Severity] = Field(description=SEVERITIES)
+
+    @classmethod
+    def made(cls, value: WebhookRecord, **more: Any) -> Self:  # noqa: ANN401 - as of every derived class
+        """Return the representation of a webhook, its severities in their order."""
+        severities = [severity for severity in Severity if severity in value.severities]
+        return super().made(value, severities=severities, **more)
 
 
 class WebhookWithSecret(Webhook):
@@ -161,18 +167,6 @@ class WebhookTrial(Representation):
     took_s: float = Field(description="How long it took.", examples=[0.2])
 
 
-def _shown(record: WebhookRecord) -> Webhook:
-    return Webhook.made(record, severities=_severities(record))
-
-
-def _severities(record: WebhookRecord) -> list[Severity]:
-    return [one for one in Severity if one.value in record.severities]
-
-
-def _delivery(record: Delivery) -> WebhookDelivery:
-    return WebhookDelivery.made(record, event=AlertEventKind(record.event_kind))
-
-
 router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"], dependencies=[Depends(requires(Scope.ADMIN))])
 WebhookId = Annotated[int, Path(ge=1, lt=cursors.INT64, description="Number of the webhook.", examples=[1])]
 OfState = Annotated[DeliveryState | None, Query(description="Only in this state.")]
@@ -184,13 +178,13 @@ def list_webhooks(asked: AskedListDep) -> Response:
     after = asked.after_number({})
     with asked.read() as unit:
         rows = unit.webhooks.page(after, asked.limit + 1)
-    return asked.page({}, rows, lambda record: record.webhook_id, _shown)
+    return asked.page({}, rows, lambda record: record.webhook_id, Webhook.made)
 
 
 @router.get("/{webhook_id}", response_model=Webhook, responses=described(404))
 def get_webhook(asked: AskedDep, webhook_id: WebhookId) -> Response:
     """Return one webhook, without its secret; its ETag is what changes to it ask for."""
-    return asked.one(lambda unit: _shown(unit.webhooks.get(webhook_id)))
+    return asked.one(lambda unit: Webhook.made(unit.webhooks.get(webhook_id)))
 
 
 @router.get("/{webhook_id}/deliveries", response_model=Page[WebhookDelivery], responses=described(400, 404))
@@ -201,7 +195,11 @@ def list_webhook_deliveries(asked: AskedListDep, webhook_id: WebhookId, state: O
     with asked.read() as unit:
         unit.webhooks.get(webhook_id)
         rows = unit.webhooks.deliveries(webhook_id, before, asked.limit + 1, state)
-    return asked.page(filters, rows, lambda record: record.delivery_id, _delivery)
+
+    def represent(record: Delivery) -> WebhookDelivery:
+        return WebhookDelivery.made(record, event=AlertEventKind(record.event_kind))
+
+    return asked.page(filters, rows, lambda record: record.delivery_id, represent)
 
 
 @router.post("", status_code=201, response_model=WebhookWithSecret, responses=described(404, 409, 413, 415))
@@ -217,8 +215,7 @@ async def create_webhook(request: Request, services: ServicesDep, caller: Caller
     async with services.writers.slot():
         made, secret = await run_in_threadpool(_made, services, caller, body)
     headers = {"Location": f"/v1/webhooks/{made.webhook_id}", "Cache-Control": "no-store"}
-    shown = WebhookWithSecret.made(made, severities=_severities(made), secret=secret)
-    return answer(request, shown, status=HTTPStatus.CREATED, headers=headers)
+    return answer(request, WebhookWithSecret.made(made, secret=secret), status=HTTPStatus.CREATED, headers=headers)
 
 
 @router.patch("/{webhook_id}", response_model=Webhook, responses=described(404, 409, 412, 413, 415, 428))
@@ -229,28 +226,27 @@ async def change_webhook(
 
     Another filter applies to events from now on, and to those that wait.
     """
-    known = await run_in_threadpool(_read, services, webhook_id)
+    webhook = await run_in_threadpool(_read, services, webhook_id)
     if body.fleets is not None:
-        await run_in_threadpool(require_fleets, services.storage.seen_by(known.bound), body.fleets)
+        await run_in_threadpool(require_fleets, services.storage.seen_by(webhook.bound), body.fleets)
     if body.url is not None:
         await _require_target(request, body.url)
     async with services.writers.slot():
         changed = await run_in_threadpool(_changed, services, webhook_id, body, if_match)
-    return answer(request, _shown(changed))
+    return answer(request, Webhook.made(changed))
 
 
 @router.delete("/{webhook_id}", response_model=Webhook, responses=described(404))
 def delete_webhook(request: Request, services: ServicesDep, webhook_id: WebhookId) -> Response:
     """Delete a webhook with its secrets and the records of its deliveries; return what it was."""
     with services.storage.write() as unit:
-        found = unit.webhooks.get(webhook_id)
+        webhook = unit.webhooks.get(webhook_id)
         unit.webhooks.delete(webhook_id)
-    return answer(request, _shown(found))
+    return answer(request, Webhook.made(webhook))
 
 
 def _made(services: Services, caller: Caller, body: NewWebhook) -> tuple[WebhookRecord, str]:
-    severities = frozenset(one.value for one in body.severities)
-    filters = frozenset(body.fleets), frozenset(body.kinds), severities
+    filters = frozenset(body.fleets), frozenset(body.kinds), frozenset(severity.value for severity in body.severities)
     wanted = Wanted(body.url, body.description, *filters, caller.fleets)
     with services.storage.write() as unit:
         return make_webhook(unit, wanted, caller.name or NOBODY_NAMED, services.clock.now_ns())
@@ -258,21 +254,16 @@ def _made(services: Services, caller: Caller, body: NewWebhook) -> tuple[Webhook
 
 def _changed(services: Services, webhook_id: int, body: WebhookChange, if_match: str | None) -> WebhookRecord:
     with services.storage.write() as unit:
-        known = unit.webhooks.locked(webhook_id)
-        require_match(if_match, _shown(known))
-        wanted = _as_asked(known, body, services.clock.now_ns())
-        if (wanted.fleets, wanted.kinds, wanted.severities) != (known.fleets, known.kinds, known.severities):
-            wanted = replace(wanted, position=handled_up_to(unit, known))
+        webhook = unit.webhooks.locked(webhook_id)
+        require_match(if_match, Webhook.made(webhook))
+        given = body.model_dump(mode="json", exclude_none=True, exclude={"state"}).items()
+        changes: dict[str, Any] = {name: frozenset(item) if isinstance(item, list) else item for name, item in given}
+        wanted = replace(webhook, **changes)
+        if body.state is not None:
+            wanted = in_state(wanted, WebhookState(body.state), services.clock.now_ns())
+        if any(getattr(wanted, name) != getattr(webhook, name) for name in ("fleets", "kinds", "severities")):
+            wanted = replace(wanted, position=handled_up_to(unit, webhook))
         return unit.webhooks.change(wanted)
-
-
-def _as_asked(known: WebhookRecord, body: WebhookChange, now_ns: int) -> WebhookRecord:
-    given = body.model_dump(mode="json", exclude_none=True, exclude={"state"})
-    changes: dict[str, Any] = {
-        name: frozenset(value) if isinstance(value, list) else value for name, value in given.items()
-    }
-    wanted = replace(known, **changes)
-    return wanted if body.state is None else in_state(wanted, WebhookState(body.state), now_ns)
 
 
 def _read(services: Services, webhook_id: int) -> WebhookRecord:
@@ -325,11 +316,11 @@ def replay_webhook(request: Request, services: ServicesDep, webhook_id: WebhookI
     if (body.after is None) == (body.from_time is None):
         raise invalid("#/after", "give either `after` or `from`")
     with services.storage.read() as unit:
-        known = unit.webhooks.get(webhook_id)
-        place = place_of(unit, known, body.after, body.from_time, request.scope["path"])
+        webhook = unit.webhooks.get(webhook_id)
+        place = place_of(unit, webhook, body.after, body.from_time, request.scope["path"])
     with services.storage.write() as unit:
         moved = unit.webhooks.change(replace(unit.webhooks.locked(webhook_id), position=place))
-    return answer(request, _shown(moved))
+    return answer(request, Webhook.made(moved))
 
 
 @router.post(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import Annotated, TypeVar
 
 from pydantic import AfterValidator, Field, WithJsonSchema
 
@@ -144,8 +144,8 @@ def display_state(alert: AlertValue | AlertOutline, now_ns: int) -> DisplayState
 
 
 def _links(record: AlertValue) -> dict[str, str]:
-    own = f"/v1/alerts/{record.alert_id}"
-    links = {"self": own, "events": f"{own}/events"}
+    path = f"/v1/alerts/{record.alert_id}"
+    links = {"self": path, "events": f"{path}/events"}
     if record.track_section is not None:
         return links | {"adhesion": f"/v1/track-sections/{segment(record.track_section)}/adhesion"}
     if record.wheelset is None:
@@ -157,19 +157,20 @@ def _links(record: AlertValue) -> dict[str, str]:
     return links
 
 
-def alert(record: AlertValue, now_ns: int) -> Alert:
-    """Return the representation of an alert at this time."""
-    return Alert.made(record, **_own(record, now_ns))
+AlertT = TypeVar("AlertT", bound=Alert)
 
 
-def _own(record: AlertValue, now_ns: int) -> dict[str, Any]:
-    return {
-        "display_state": display_state(record, now_ns),
-        "close_reason": None if record.close_reason is None else record.close_reason.sentence,
-        "limit_unit": None if record.scope is AlertScope.FLEET else LIMIT_UNITS.get(record.kind),
-        "evidence": evidence_of(record),
-        "links": _links(record),
-    }
+def alert(record: AlertValue, now_ns: int, model: type[AlertT] = Alert, **more: object) -> AlertT:  # type: ignore[assignment]  # the bound itself
+    """Return the representation of an alert at this time; ``more`` is what another ``model`` has beside."""
+    return model.made(
+        record,
+        display_state=display_state(record, now_ns),
+        close_reason=None if record.close_reason is None else record.close_reason.sentence,
+        limit_unit=None if record.scope is AlertScope.FLEET else LIMIT_UNITS.get(record.kind),
+        evidence=evidence_of(record),
+        links=_links(record),
+        **more,
+    )
 
 
 def event(record: AlertEvent) -> Event:
@@ -192,9 +193,3 @@ class AlertRow(Alert):
         description="That the wheelset ran under when the alert was opened.", examples=["V-101"]
     )
     axle: int | None = Field(description="Number of its axle there, from 1.", examples=[1])
-
-
-def alert_row(record: AlertValue, now_ns: int, place: tuple[str | None, int | None]) -> AlertRow:
-    """Return the representation of an alert in a list."""
-    vehicle, axle = place
-    return AlertRow.made(record, **_own(record, now_ns), vehicle=vehicle, axle=axle)

@@ -51,6 +51,15 @@ class Page(Representation, Generic[ItemT]):
     next: str | None = Field(description="The path of the next page; the same as Link rel=next.")
 
 
+_CONICITY: dict[str, pydantic.JsonValue] = {
+    "value": 0.182,
+    "std": 0.006,
+    "interval_95": [0.17, 0.194],
+    "n_windows": 12.0,
+}
+_CONICITY |= {"status": "estimated", "reason": None, "reason_code": None}
+
+
 class Uncertain(Representation):
     """A number with its uncertainty; null means unknown, and `reason` and `reason_code` explain why."""
 
@@ -62,21 +71,7 @@ class Uncertain(Representation):
     reason: str | None
     reason_code: ReasonCode | None
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {
-                    "value": 0.182,
-                    "std": 0.006,
-                    "interval_95": [0.17, 0.194],
-                    "n_windows": 12.0,
-                    "status": "estimated",
-                    "reason": None,
-                    "reason_code": None,
-                }
-            ]
-        }
-    )
+    model_config = ConfigDict(json_schema_extra={"examples": [_CONICITY]})
 
 
 def finite(value: float | None, scale: float = 1.0) -> float | None:
@@ -91,10 +86,10 @@ def finite_list(values: Sequence[float] | FloatArray, scale: float = 1.0) -> lis
     """Return every value as :func:`finite` does."""
     with np.errstate(over="ignore"):  # beyond all floats is no finite number
         scaled = np.asarray(values, np.float64) * scale
-    found: list[float | None] = scaled.tolist()
+    listed: list[float | None] = scaled.tolist()
     for place in np.flatnonzero(~np.isfinite(scaled)):
-        found[place] = None
-    return found
+        listed[place] = None
+    return listed
 
 
 def why(reason: Reason | None) -> dict[str, Any]:
@@ -170,7 +165,7 @@ def _field_of(key: str, hint: Any) -> FieldOf:  # noqa: ANN401 - a type
     while get_origin(hint) in {Annotated, Union, types.UnionType}:
         if get_origin(hint) is Annotated:
             hint, *metadata = get_args(hint)
-            served = next((one for one in metadata if isinstance(one, Served)), served)
+            served = next((item for item in metadata if isinstance(item, Served)), served)
         else:
             (hint,) = (part for part in get_args(hint) if part is not types.NoneType)
             nullable = True
@@ -217,13 +212,6 @@ def _single(hint: Any, field: FieldOf) -> tuple[Any, Convert]:  # noqa: ANN401 -
 MODELS: dict[type, type[Derived]] = {}  # the model of each value that has one
 
 
-def _served_fields(of: type, without: Collection[str], also: Collection[str]) -> list[FieldOf]:
-    properties = [
-        _field_of(name, get_type_hints(getattr(of, name).fget, include_extras=True)["return"]) for name in also
-    ]
-    return [field for field in (*fields_of(of), *properties) if field.key not in without]
-
-
 def _path(template: str, value: object) -> str:
     return re.sub(r"{(\w+)}", lambda field: segment(str(getattr(value, field[1]))), template)
 
@@ -252,11 +240,14 @@ class Derived(Representation):
         super().__init_subclass__(**kwargs)
         if of is None:
             return
-        own, derived, makers = inspect.get_annotations(cls), {}, dict(cls.makers)
-        for field in _served_fields(of, without, also):
+        annotated, derived, makers = inspect.get_annotations(cls), {}, dict(cls.makers)
+        properties = {name: get_type_hints(getattr(of, name).fget, include_extras=True)["return"] for name in also}
+        for field in (*fields_of(of), *(_field_of(name, hint) for name, hint in properties.items())):
+            if field.key in without:
+                continue
             kind, convert = (str, text_of) if field.hint is Reason else served_type(field)
             makers[field.name] = field.key, convert
-            if field.name in own and hasattr(cls, field.name):
+            if field.name in annotated and hasattr(cls, field.name):
                 continue
             is_nullable = field.nullable or not field.served.finite or field.hint is Reason
             derived[field.name] = kind | None if is_nullable else kind
@@ -267,7 +258,7 @@ class Derived(Representation):
                 if field.name != "reason":
                     setattr(cls, f"{field.name}_code", Field(description="Its code."))
         cls.paths = links or cls.paths
-        places, named = columns.split(), derived | own | ({"links": Links} if links else {})
+        places, named = columns.split(), derived | annotated | ({"links": Links} if links else {})
         cls.__annotations__ = {name: named[name] for name in sorted(named, key=places.index)} if places else named
         cls.makers = makers
         MODELS.setdefault(of, cls)
@@ -285,9 +276,9 @@ class Derived(Representation):
         return filled
 
     @classmethod
-    def made(cls, value: Any, **own: Any) -> Self:  # noqa: ANN401 - of the value's class; fields of the model
+    def made(cls, value: Any, **more: Any) -> Self:  # noqa: ANN401 - of the value's class; fields of the model
         """Return the representation of a value, with the fields that are not its own; those win."""
-        return cls(**cls.parts(value, own), **own)
+        return cls(**cls.parts(value, more), **more)
 
 
 def provenance(result: AnyResult) -> dict[str, Any]:
@@ -329,9 +320,9 @@ class Vehicle(
     max_speed_km_h: float = Field(description="Highest permitted speed.", examples=[160.0])
 
     @classmethod
-    def made(cls, value: VehicleRecord, **own: Any) -> Self:  # noqa: ANN401 - fields of the model
+    def made(cls, value: VehicleRecord, **more: Any) -> Self:  # noqa: ANN401 - fields of the model
         """Return the representation of a vehicle, its speed to the last bit as the registry file had it."""
-        return super().made(value, max_speed_km_h=SPEED_IN_FILES.write(value.max_speed_m_s), **own)
+        return super().made(value, max_speed_km_h=SPEED_IN_FILES.write(value.max_speed_m_s), **more)
 
 
 class MountingPeriod(Derived, of=Mounting):
@@ -361,26 +352,29 @@ class Wheelset(Derived, of=WheelsetRecord):
 
 def measured_profiles(record: MeasuredProfiles) -> MeasuredProfilesRecord:
     """Return the representation of a measurement of both wheels."""
-    own = f"/v1/wheelsets/{segment(record.wheelset)}"
+    path = f"/v1/wheelsets/{segment(record.wheelset)}"
     return MeasuredProfilesRecord.made(
         record,
         left=record.left.name,
         right=record.right.name,
         links={
-            "wheelset": own,
-            "comparison": f"{own}/measured-profiles/{segment(to_rfc3339(record.at_ns))}/comparison",
+            "wheelset": path,
+            "comparison": f"{path}/measured-profiles/{segment(to_rfc3339(record.at_ns))}/comparison",
         },
     )
 
 
+_OF_WHEELSET = (
+    *("geometry", "trend", "contact", "windows", "mountings", "reprofilings", "measured-profiles", "intervals"),
+    *("data-quality", "state", "creep-forces"),
+)
+
+
 def wheelset(record: WheelsetRecord) -> Wheelset:
     """Return the representation of a wheelset, with paths to everything known of it."""
-    own = f"/v1/wheelsets/{segment(record.serial)}"
-    links = {name: f"{own}/{name}" for name in ("geometry", "trend", "contact", "windows", "mountings", "reprofilings")}
-    links |= {"measured_profiles": f"{own}/measured-profiles", "intervals": f"{own}/intervals"}
-    links["data_quality"] = f"{own}/data-quality"
-    links |= {"state": f"{own}/state", "creep_forces": f"{own}/creep-forces"}
-    links = {"self": own, "fleet": f"/v1/fleets/{segment(record.fleet)}", **links}
+    path = f"/v1/wheelsets/{segment(record.serial)}"
+    links = {"self": path, "fleet": f"/v1/fleets/{segment(record.fleet)}"}
+    links |= {name.replace("-", "_"): f"{path}/{name}" for name in _OF_WHEELSET}
     links["alerts"] = f"/v1/alerts?wheelset={segment(record.serial)}"
     if record.mounting is not None:
         links["vehicle"] = f"/v1/vehicles/{segment(record.mounting.vehicle)}"

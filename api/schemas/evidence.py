@@ -155,10 +155,8 @@ class Shape:
                 required.add(field.name)
             if has_default and not is_there:
                 read = partial(_or_default, read, defaults[field.key])
-            types[field.name] = (
-                kind if is_there or has_default or field.name in required else kind | None,
-                field.words,
-            )
+            is_never_null = is_there or has_default or field.name in required
+            types[field.name] = (kind if is_never_null else kind | None, field.words)
             readers[field.name] = field.key, read
         doc = (described.__doc__ or "").split("\n", maxsplit=1)[0]
         made = partial(create_model, described.__name__, __base__=Representation, __doc__=doc)
@@ -173,7 +171,11 @@ class Shape:
             return None
         because, code = values.get("unknown_because"), values.get("unknown_because_code")
         if because is not None and code is not None:
-            values = {name: _because(found, because, code) for name, found in values.items()}
+            # a forecast that is not known has the reason of its rule
+            because_of_rule = {"reason": because, "reason_code": code}
+            for name, item in values.items():
+                if isinstance(item, DateForecast | DistanceForecast) and item.reason is not None:
+                    values[name] = item.model_copy(update=because_of_rule)
         return self.model(**values, **more)
 
 
@@ -181,15 +183,8 @@ _CODE = (ReasonCode | None, Described(description="The same as a code."))
 
 
 def _or_default(read: Read, default: object, value: JsonValue) -> object:
-    found = read(value)
-    return default if found is None else found
-
-
-def _because(value: object, because: str, code: ReasonCode) -> object:
-    """Return a forecast that is not known with the reason of its rule, and everything else as it is."""
-    if isinstance(value, DateForecast | DistanceForecast) and value.reason is not None:
-        return value.model_copy(update={"reason": because, "reason_code": code})
-    return value
+    item = read(value)
+    return default if item is None else item
 
 
 _DELAYS = Shape.of(Delays)
@@ -248,9 +243,9 @@ def _other(stored: Stored, delays: BaseModel | None) -> OtherEvidence:
     texts: dict[str, str] = {}
     times: dict[str, str] = {}
     for name, value in _leaves({key: value for key, value in stored.items() if key != DELAYS}):
-        at = _moment(value) if name.endswith("_ns") else None
-        if at is not None:
-            times[f"{name.removesuffix('_ns')}_at"] = at
+        moment = _moment(value) if name.endswith("_ns") else None
+        if moment is not None:
+            times[f"{name.removesuffix('_ns')}_at"] = moment
         elif isinstance(value, (bool, str)):
             texts[name] = str(value)
         elif not name.endswith("_ns"):

@@ -13,6 +13,7 @@ from api.schemas.common import Derived, Links, Representation, Uncertain, finite
 from api.schemas.windows import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
+from estimation.values.arrays import FloatArray
 from estimation.values.geometry import (
     COMBINATIONS,
     LEFT_OUT,
@@ -111,19 +112,18 @@ class Geometry(Derived, of=WheelsetGeometry, without=_AS_BINS):
 
 
 def _column(values: BinValues, scale: float) -> BinColumn:
-    estimated = [status is BinStatus.ESTIMATED for status in values.status]
-    return BinColumn(
-        value=[finite(v, scale) if known else None for v, known in zip(values.value, estimated, strict=True)],
-        std=[finite(v, scale) if known else None for v, known in zip(values.std, estimated, strict=True)],
-        status=list(values.status),
-    )
+    def served(numbers: FloatArray) -> list[float | None]:
+        pairs = zip(numbers, values.status, strict=True)
+        return [finite(number, scale) if status is BinStatus.ESTIMATED else None for number, status in pairs]
+
+    return BinColumn(value=served(values.value), std=served(values.std), status=list(values.status))
 
 
 def geometry(record: GeometryRecord, without: WithoutEstimate | None = None) -> Geometry:
     """Return the representation of a geometry estimate; ``without`` is why it holds no number now."""
     shown = _geometry(record.wheelset, record.baseline, record.geometry, without)
-    own = shown.links["self"]
-    shown.links["as_recorded"] = f"{own}?as_of={to_rfc3339(record.recorded_ns)}"
+    here = shown.links["self"]
+    shown.links["as_recorded"] = f"{here}?as_of={to_rfc3339(record.recorded_ns)}"
     for section, versions in sorted(record.track_versions.items()):
         path = f"/v1/track-sections/{segment(section)}/alignment?version={versions[-1]}"
         shown.links[f"alignment:{section}"] = path
@@ -152,24 +152,24 @@ def no_geometry(serial: str, baseline: int, reason: Reason, without: WithoutEsti
     return _geometry(serial, baseline, WheelsetGeometry(**parts, reason=reason), without)
 
 
-def _geometry(serial: str, baseline: int, found: WheelsetGeometry, without: WithoutEstimate | None) -> Geometry:
-    reason = found.reason if without is None else without.reason
-    own = f"/v1/wheelsets/{segment(serial)}"
+def _geometry(serial: str, baseline: int, estimate: WheelsetGeometry, without: WithoutEstimate | None) -> Geometry:
+    reason = estimate.reason if without is None else without.reason
+    path = f"/v1/wheelsets/{segment(serial)}"
     of_record = ("mileage_km", "measured_from", "measured_to", "recorded_at", "windows_left_out", "provenance")
     return Geometry.made(
-        found,
+        estimate,
         **dict.fromkeys(of_record, None),
         wheelset=serial,
         **why(reason),
         unestimated_because=unestimated_because(without),
         baseline=baseline,
-        equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(found)),
+        equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(estimate)),
         conicity_by_amplitude=[
             ConicityAtAmplitude(amplitude_mm=float(amplitude) * MM, equivalent_conicity_1=uncertain(conicity))
-            for amplitude, conicity in zip(found.amplitude, found.conicity, strict=True)
+            for amplitude, conicity in zip(estimate.amplitude, estimate.conicity, strict=True)
         ],
-        bins=bin_table(found),
-        links={"self": f"{own}/geometry", "wheelset": own, "trend": f"{own}/trend", "windows": f"{own}/windows"},
+        bins=bin_table(estimate),
+        links={"self": f"{path}/geometry", "wheelset": path, "trend": f"{path}/trend", "windows": f"{path}/windows"},
     )
 
 
@@ -180,17 +180,17 @@ def _left_out(record: GeometryRecord) -> dict[str, int] | None:
     return {code: count for code, count in stored.items() if isinstance(count, int)}
 
 
-def bin_table(found: WheelsetGeometry) -> Bins:
+def bin_table(estimate: WheelsetGeometry) -> Bins:
     """Return the bin table of an estimate."""
-    edges = [float(edge) * MM for edge in found.bin_edges]
+    edges = [float(edge) * MM for edge in estimate.bin_edges]
     return Bins(
         lower_mm=edges[:-1],
         upper_mm=edges[1:],
-        samples_1=finite_list(found.samples),
-        rolling_radius_sum_mm=_column(found.rolling_radius_sum, MM),
-        rolling_radius_difference_mm=_column(found.rolling_radius_difference, MM),
-        contact_angle_sum_rad=_column(found.contact_angle_sum, 1.0),
-        contact_angle_difference_rad=_column(found.contact_angle_difference, 1.0),
+        samples_1=finite_list(estimate.samples),
+        rolling_radius_sum_mm=_column(estimate.rolling_radius_sum, MM),
+        rolling_radius_difference_mm=_column(estimate.rolling_radius_difference, MM),
+        contact_angle_sum_rad=_column(estimate.contact_angle_sum, 1.0),
+        contact_angle_difference_rad=_column(estimate.contact_angle_difference, 1.0),
     )
 
 
@@ -255,40 +255,39 @@ class DataQuality(Representation):
 
 def interval(record: GeometryRecord) -> Interval:
     """Return the representation of what was estimated from one stretch of mileage."""
-    found = record.geometry
     return Interval.made(
         record,
         interval=record.interval or 0,
-        n_windows=found.windows,
-        status=found.status,
-        **why(found.reason),
-        equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(found)),
+        n_windows=record.geometry.windows,
+        status=record.geometry.status,
+        **why(record.geometry.reason),
+        equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(record.geometry)),
     )
 
 
-def data_quality(serial: str, found: WindowCounts, waiting: Sequence[ReasonOfWindows]) -> DataQuality:
+def data_quality(serial: str, counted: WindowCounts, waiting: Sequence[ReasonOfWindows]) -> DataQuality:
     """Return the representation of the windows of a wheelset over time."""
     stretches: dict[int, Counts] = {}
     total: Counts = Counter()
-    for one in found.counts:
-        stretches.setdefault(one.from_ns, Counter())[one.state, one.code] = one.windows
-        if one.state is not WindowState.PENDING:
-            total[one.state, one.code] += one.windows
-    for item in waiting:
-        total[item.state, code_of(item.reason)] += item.windows
-    own = f"/v1/wheelsets/{segment(serial)}"
+    for count in counted.counts:
+        stretches.setdefault(count.from_ns, Counter())[count.state, count.code] = count.windows
+        if count.state is not WindowState.PENDING:
+            total[count.state, count.code] += count.windows
+    for windows in waiting:
+        total[windows.state, code_of(windows.reason)] += windows.windows
+    path = f"/v1/wheelsets/{segment(serial)}"
     return DataQuality(
         wheelset=serial,
         total=_by_reason(dict(total.most_common())),
         over_time=[
             QualityOfTime(
                 measured_from=to_rfc3339(from_ns),
-                measured_to=to_rfc3339(from_ns + found.stretch_ns),
+                measured_to=to_rfc3339(from_ns + counted.stretch_ns),
                 windows_by_reason=_by_reason(counts),
             )
             for from_ns, counts in stretches.items()
         ],
-        links={"self": f"{own}/data-quality", "wheelset": own, "windows": f"{own}/windows"},
+        links={"self": f"{path}/data-quality", "wheelset": path, "windows": f"{path}/windows"},
     )
 
 

@@ -72,14 +72,8 @@ class TrendProvenance(Derived, of=TrendRecord, without=("wheelset", "baseline", 
 
 
 _OF_NOW = (
-    "limit",
-    "distance_to_limit_km",
-    "date_of_limit_ns",
-    "probability_over_limit",
-    "not_comparable",
-    "few_behind",
-    "ahead_km",
-    "over_ahead",
+    *("limit", "distance_to_limit_km", "date_of_limit_ns", "probability_over_limit", "not_comparable", "few_behind"),
+    *("ahead_km", "over_ahead"),
 )
 
 
@@ -150,8 +144,8 @@ def trend(
     """
     recorded_ns = record.recorded_ns if current is None else max(record.recorded_ns, current.recorded_ns)
     shown = _trend(record.wheelset, record.baseline, record.trend, current, now, without)
-    own = shown.links["self"]
-    shown.links["as_recorded"] = f"{own}?as_of={to_rfc3339(recorded_ns)}"
+    path = shown.links["self"]
+    shown.links["as_recorded"] = f"{path}?as_of={to_rfc3339(recorded_ns)}"
     of_record = {"recorded_at": to_rfc3339(record.recorded_ns), "provenance": TrendProvenance.made(record)}
     return shown.model_copy(update=of_record)
 
@@ -167,14 +161,14 @@ def no_trend(
     """Return the representation of a wheelset that has no trend."""
     unknown = Estimate.unknown(reason)
     nothing = refresh((), math.nan, quantity=QUANTITY)
-    found = replace(nothing, reason=reason, slope_per_1000_km=unknown, slope_per_year=unknown, fitted=unknown)
-    return _trend(serial, baseline, found, current, now, without)
+    nothing = replace(nothing, reason=reason, slope_per_1000_km=unknown, slope_per_year=unknown, fitted=unknown)
+    return _trend(serial, baseline, nothing, current, now, without)
 
 
 def _trend(
     serial: str,
     baseline: int,
-    found: WearTrend,
+    wear: WearTrend,
     current: GeometryRecord | None,
     now: LimitNow | MileageNow | None,
     without: WithoutEstimate | None,
@@ -182,16 +176,16 @@ def _trend(
     of_profile = None if current is None or current.baseline != baseline else current
     if not isinstance(now, LimitNow):
         unknown = Estimate.unknown(REPROFILED if baseline else NO_GEOMETRY)
-        now = limit_now(None if of_profile is None else of_profile.geometry, found, found.limit, now, unknown)
-    own = f"/v1/wheelsets/{segment(serial)}"
+        now = limit_now(None if of_profile is None else of_profile.geometry, wear, wear.limit, now, unknown)
+    path = f"/v1/wheelsets/{segment(serial)}"
     return Trend.made(
-        found,
+        wear,
         wheelset=serial,
-        **why(found.reason if without is None else without.reason),
+        **why(wear.reason if without is None else without.reason),
         unestimated_because=unestimated_because(without),
         baseline=baseline,
         recorded_at=None,
-        points=TrendPoints.made(found),
+        points=TrendPoints.made(wear),
         current_1=uncertain(now.conicity),
         current_mileage_km=None if of_profile is None else finite(of_profile.mileage_km),
         limit_1=now.limit,
@@ -202,9 +196,9 @@ def _trend(
         date_of_limit=date_forecast(now.date_of_limit_ns, now.forecast_reason),
         provenance=None,
         links={
-            "self": f"{own}/trend",
-            "wheelset": own,
-            "geometry": f"{own}/geometry",
+            "self": f"{path}/trend",
+            "wheelset": path,
+            "geometry": f"{path}/geometry",
             "alerts": f"/v1/alerts?wheelset={segment(serial)}",
         },
     )
@@ -212,6 +206,5 @@ def _trend(
 
 def table(trend_: Trend) -> tuple[Sequence[str], list[Sequence[object]]]:
     """Return the points as a header and rows."""
-    points = trend_.points
     header = ["mileage_km", "measured_at", "value_1", "std_1"]
-    return header, list(zip(points.mileage_km, points.measured_at, points.value_1, points.std_1, strict=True))
+    return header, list(zip(*(getattr(trend_.points, name) for name in header), strict=True))

@@ -82,11 +82,11 @@ class WindowsByReason(Derived, of=WindowsOfReason):
     what_to_do: str | None = Field(description="Null where there is nothing to do but to wait.")
 
     @classmethod
-    def made(cls, value: WindowsOfReason, **own: Any) -> Self:  # noqa: ANN401 - as of every derived class
+    def made(cls, value: WindowsOfReason, **more: Any) -> Self:  # noqa: ANN401 - as of every derived class
         """Return the representation of windows of one reason."""
         code = code_of(value.reason)
         told = (None, None) if code is None else (code.meaning, code.remedy or None)
-        return super().made(value, meaning=told[0], what_to_do=told[1], **own)
+        return super().made(value, meaning=told[0], what_to_do=told[1], **more)
 
 
 class UnestimatedBecause(Derived, of=WithoutEstimate, without=("reason",)):
@@ -99,12 +99,12 @@ class UnestimatedBecause(Derived, of=WithoutEstimate, without=("reason",)):
     what_to_do: str | None = Field(description="Null where there is nothing to do but to wait.")
 
 
-def unestimated_because(found: WithoutEstimate | None) -> UnestimatedBecause | None:
+def unestimated_because(without: WithoutEstimate | None) -> UnestimatedBecause | None:
     """Return the representation of why nothing is estimated; None where something is."""
-    if found is None:
+    if without is None:
         return None
-    counts = {state.value: found.count(state) for state in WindowState}
-    return UnestimatedBecause.made(found, windows=found.counted, **counts, what_to_do=found.what_to_do or None)
+    counts = {state.value: without.count(state) for state in WindowState}
+    return UnestimatedBecause.made(without, windows=without.counted, **counts, what_to_do=without.what_to_do or None)
 
 
 OF_SECTION = {ReasonCode.ALIGNMENT_UNKNOWN, ReasonCode.WAITS_FOR_POSITION}
@@ -126,31 +126,31 @@ class WindowReasons:
         """Return why each window waits or was refused; None where it is estimated."""
         records = list(records)
         waiting = [record.key for record in records if record.state is WindowState.PENDING]
-        placed = self.unit.tracks.positions(waiting) if waiting else {}
-        found: dict[WindowKey, Reason | None] = {}
+        positions = self.unit.tracks.positions(waiting) if waiting else {}
+        reasons: dict[WindowKey, Reason | None] = {}
         for record in records:
-            position = placed.get(record.key)
-            is_placed = position is not None and position.content_digest == record.content_digest
-            found[record.key] = self._reason(
-                record.state, record.reason, record.track_section, record.vehicle, record.key, placed=is_placed
-            )
-        return found
+            position = positions.get(record.key)
+            placed = position is not None and position.content_digest == record.content_digest
+            of_record = (record.state, record.reason, record.track_section, record.vehicle, record.key)
+            reasons[record.key] = self._reason(*of_record, placed=placed)
+        return reasons
 
     def without_estimate(self, serial: str, of_geometry: Reason | None = None, most: int = COUNTED) -> WithoutEstimate:
         """Return why nothing is estimated of a wheelset; ``of_geometry`` is why that holds no number."""
         record = self.unit.registry.wheelset(serial)
-        counted = self._counted(record, most)
+        since_ns = max((reprofiling.at_ns for reprofiling in record.reprofilings), default=None)
+        counted = list(newest_by_reason(self.unit.connection, serial, since_ns, most))
         if not counted:
             reason, what_to_do = self._without_windows(record)
             why = of_geometry or Reason(ReasonCode.NO_GEOMETRY, reason)
             return WithoutEstimate(why, what_to_do, (), None, self._last_ns(serial))
-        found = self._merged(serial, counted, of_geometry)
+        merged = self._merged(serial, counted, of_geometry)
         return WithoutEstimate(
-            reason=of_geometry or Reason(ReasonCode.NO_GEOMETRY, _sentence(found)),
-            what_to_do=remedies([one.reason for one in found[:SHOWN]]),
-            windows=tuple(found),
-            from_ns=min(one.first_ns for one in counted),
-            last_ns=max(one.newest_end_ns for one in counted),
+            reason=of_geometry or Reason(ReasonCode.NO_GEOMETRY, _sentence(merged)),
+            what_to_do=remedies([windows.reason for windows in merged[:SHOWN]]),
+            windows=tuple(merged),
+            from_ns=min(windows.first_ns for windows in counted),
+            last_ns=max(windows.newest_end_ns for windows in counted),
         )
 
     def waiting(self, *, vehicles: Sequence[str] | None = None, wheelset: str | None = None) -> list[WindowsOfReason]:
@@ -158,21 +158,18 @@ class WindowReasons:
         counted = pending_by_place(self.unit.connection, vehicles=vehicles, wheelset=wheelset)
         return self._merged(wheelset or "", counted, None)
 
-    def _counted(self, record: WheelsetRecord, most: int) -> list[CountedWindows]:
-        since_ns = max((one.at_ns for one in record.reprofilings), default=None)
-        return list(newest_by_reason(self.unit.connection, record.serial, since_ns, most))
-
     def _merged(
         self, serial: str, counted: Iterable[CountedWindows], of_geometry: Reason | None
     ) -> list[WindowsOfReason]:
-        found = []
-        for one in counted:
-            key = (serial, one.newest_start_ns)
-            reason = self._reason(one.state, one.reason, one.section, one.vehicle, key, placed=one.placed)
-            if one.state is WindowState.ESTIMATED:
-                reason = of_geometry or self._no_geometry_yet(serial)
-            found.append(WindowsOfReason(one.state, reason, one.windows, one.newest_end_ns))
-        return together(found)
+        by_reason = []
+        for windows in counted:
+            of_windows = (windows.state, windows.reason, windows.section, windows.vehicle)
+            reason = self._reason(*of_windows, (serial, windows.newest_start_ns), placed=windows.placed)
+            if windows.state is WindowState.ESTIMATED:
+                failed = self._failed(SubjectKind.WHEELSET, serial, GEOMETRIES)
+                reason = of_geometry or no_geometry_yet(self._last_run(GEOMETRIES), failed)
+            by_reason.append(WindowsOfReason(windows.state, reason, windows.windows, windows.newest_end_ns))
+        return together(by_reason)
 
     def _reason(
         self,
@@ -186,7 +183,9 @@ class WindowReasons:
     ) -> Reason | None:
         if state is WindowState.PENDING:
             facts = None if section is None else self._section(section)
-            return waits_for(facts, self._no_class(vehicle), self._last_run(ESTIMATION), placed=placed)
+            if vehicle not in self._classes:
+                self._classes[vehicle] = self._look_up_class(vehicle)
+            return waits_for(facts, self._classes[vehicle], self._last_run(ESTIMATION), placed=placed)
         if stored is None or state is WindowState.ESTIMATED:
             return stored
         if stored.code is ReasonCode.ALIGNMENT_UNKNOWN and section is not None and not self._section(section).aligned:
@@ -211,22 +210,13 @@ class WindowReasons:
             )
         return self._sections[code]
 
-    def _no_class(self, vehicle: str) -> Reason | None:
-        if vehicle not in self._classes:
-            self._classes[vehicle] = self._look_up_class(vehicle)
-        return self._classes[vehicle]
-
     def _look_up_class(self, vehicle: str) -> Reason | None:
         try:
             code = self.unit.registry.vehicle(vehicle).vehicle_class
-            known = self.unit.registry.vehicle_class(code) is not None
+            is_on_file = self.unit.registry.vehicle_class(code) is not None
         except (DamagedError, NotFoundError):  # it is of another fleet, of which nothing is said
             return None
-        return None if known else Reason(ReasonCode.CLASS_UNKNOWN, f"class {code!r} of {vehicle} is not on file")
-
-    def _no_geometry_yet(self, serial: str) -> Reason:
-        failed = self._failed(SubjectKind.WHEELSET, serial, GEOMETRIES)
-        return no_geometry_yet(self._last_run(GEOMETRIES), failed)
+        return None if is_on_file else Reason(ReasonCode.CLASS_UNKNOWN, f"class {code!r} of {vehicle} is not on file")
 
     def _last_run(self, job: str) -> JobRun | None:
         if job not in self._runs:
@@ -253,37 +243,35 @@ class WindowReasons:
         if newest is None:
             return f"no recording of {mounting.vehicle} has been received", "Check the vehicle and its receiver."
         if newest.reason is not None and newest.state is not ChunkState.DECODED:
-            why = without_folders(newest.reason.text)
-            return (
-                f"the newest recording of {mounting.vehicle} is {newest.state.value}: {why}",
-                newest.reason.code.remedy,
-            )
+            why = f"the newest recording of {mounting.vehicle} is {newest.state.value}: "
+            return why + without_folders(newest.reason.text), newest.reason.code.remedy
         return (
             f"the recordings of {mounting.vehicle} hold no window of axle {mounting.axle} since it was mounted there",
             "Check the sensor node of the axle, and since when the wheelset is mounted. Standing is no window.",
         )
 
 
-def together(found: Iterable[WindowsOfReason]) -> list[WindowsOfReason]:
+def together(counted: Iterable[WindowsOfReason]) -> list[WindowsOfReason]:
     """Return windows of one state and code, and of one section where that is what they lack, as one; most first."""
     by_reason: dict[object, WindowsOfReason] = {}
-    for one in found:
-        code = None if one.reason is None else one.reason.code
-        same = (one.state, code, one.reason.text if one.reason is not None and code in OF_SECTION else None)
-        before = by_reason.get(same, replace(one, windows=0))
-        newest = one if one.newest_ns > before.newest_ns else before
-        by_reason[same] = replace(newest, windows=before.windows + one.windows)
-    return sorted(by_reason.values(), key=lambda one: (-one.windows, -one.newest_ns))
+    for windows in counted:
+        reason = windows.reason
+        section = reason.text if reason is not None and reason.code in OF_SECTION else None
+        same = (windows.state, code_of(reason), section)
+        before = by_reason.get(same, replace(windows, windows=0))
+        newest = windows if windows.newest_ns > before.newest_ns else before
+        by_reason[same] = replace(newest, windows=before.windows + windows.windows)
+    return sorted(by_reason.values(), key=lambda windows: (-windows.windows, -windows.newest_ns))
 
 
 _DOES = {WindowState.PENDING: "wait", WindowState.REFUSED: "are refused", WindowState.ESTIMATED: "are estimated"}
 
 
-def _sentence(found: list[WindowsOfReason]) -> str:
-    total = sum(one.windows for one in found)
-    if len(found) == 1:
-        return f"its newest {total} windows {_DOES[found[0].state]}: {found[0].reason}"
-    parts = [f"{one.windows} {_DOES[one.state]}: {one.reason}" for one in found[:SHOWN]]
-    more = sum(one.windows for one in found[SHOWN:])
+def _sentence(counted: list[WindowsOfReason]) -> str:
+    total = sum(windows.windows for windows in counted)
+    if len(counted) == 1:
+        return f"its newest {total} windows {_DOES[counted[0].state]}: {counted[0].reason}"
+    parts = [f"{windows.windows} {_DOES[windows.state]}: {windows.reason}" for windows in counted[:SHOWN]]
+    more = sum(windows.windows for windows in counted[SHOWN:])
     parts += [f"{more} for other reasons"] if more else []
     return f"of the newest {total} windows " + "; ".join(parts)

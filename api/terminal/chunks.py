@@ -71,8 +71,8 @@ def work(*, once: bool) -> None:
 def scrub_and_report(mb_per_s: float | None, *, resume: bool) -> None:
     """Read every raw file again, print what is damaged or missing, and exit 1 where anything is."""
 
-    def print_fault(found: ScrubFault) -> None:
-        typer.echo(f"recording {found.file.digest[:12]} of vehicle {found.file.vehicle}: {found.fault}")
+    def print_fault(fault: ScrubFault) -> None:
+        typer.echo(f"recording {fault.file.digest[:12]} of vehicle {fault.file.vehicle}: {fault.fault}")
 
     settings = load_settings()
     plan = ScrubPlan(None if mb_per_s is None else mb_per_s * MEGABYTE, resume)
@@ -140,9 +140,8 @@ def consume(health: HealthAddress | None) -> None:
     settings = load_settings()
     topic = topic_of(settings)
     if topic is None:
-        raise ParameterError(
-            "is needed: brokers as host:port, with commas between them", field=f"{PREFIX}KAFKA_SERVERS"
-        )
+        reason = "is needed: brokers as host:port, with commas between them"
+        raise ParameterError(reason, field=f"{PREFIX}KAFKA_SERVERS")
     stopping, status = begun(settings), ConsumerStatus()
     opened = store_once_it_answers(settings, stopping)
     if opened is None:

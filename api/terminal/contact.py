@@ -283,8 +283,8 @@ def save_picture(contact: Contact, out: Path | None) -> None:
     """Write the contact geometry of a wheelset as PNG."""
     if out is None:
         raise ParameterError("a picture needs --out FILE.png", field="--format")
-    found = _computed(contact)
-    save_contact_figure(found.table, _AMPLITUDE_MM * 1e-3, found.conicity, found.std, found.summary, out)
+    computed = _computed(contact)
+    save_contact_figure(computed.table, _AMPLITUDE_MM * 1e-3, computed.conicity, computed.std, computed.summary, out)
 
 
 @contextmanager
@@ -346,23 +346,23 @@ def _columns(table: ContactTable) -> dict[str, FloatArray]:
 
 def table_text(contact: Contact, *, as_json: bool) -> str:
     """Return the contact geometry of a wheelset as JSON, or as CSV with the conicity at 3 mm alone."""
-    found = _computed(contact)
-    summary = found.summary.columns()
-    columns = {name: _rounded(values) for name, values in _columns(found.table).items()}
+    computed = _computed(contact)
+    summary = computed.summary.columns()
+    columns = {name: _rounded(values) for name, values in _columns(computed.table).items()}
     if not as_json:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow((*columns, *summary))
         writer.writerows((*row, *summary.values()) for row in zip(*columns.values(), strict=True))
         return text.getvalue()
-    curve = found.curve
+    curve = computed.curve
     document = {
         **summary,
         **columns,
         "equivalent_conicity": {
             "amplitude_mm": _rounded(_AMPLITUDE_MM),
-            "value": _rounded(found.conicity),
-            "std": _rounded(found.std),
+            "value": _rounded(computed.conicity),
+            "std": _rounded(computed.std),
         },
         "nonlinearity_parameter": _rounded(np.array([nonlinearity_parameter(curve.displacement, curve.difference)]))[0],
         "contact_jumps_mm": _rounded(curve.jumps * 1e3),

@@ -38,16 +38,12 @@ def correct_and_report(
         with storage.read() as unit:
             before = unit.chunks.receipt(digest)
         corrections, author = RecordingCorrections(storage, clock), Author(actor or user_name(), why)
-        if vehicle is not None:
-            record = corrections.reassign(before.digest, vehicle, author)
-        elif action is RecordingAction.RETRY:
-            record = corrections.retry(before.digest, author, our_clock_was_behind=our_clock_was_behind)
-        elif action is RecordingAction.DELETE:
+        if action is RecordingAction.DELETE:
             record = corrections.delete(before.digest, author, raw_store(settings))
-        elif action is RecordingAction.SET_ASIDE:
-            record = corrections.set_aside(before.digest, author)
         else:
-            record = corrections.restore(before.digest, author)
+            record = corrections.correct(
+                before.digest, action, author, vehicle, our_clock_was_behind=our_clock_was_behind
+            )
         receiver = receiver_of(settings, storage, clock)
         failed = _decode(receiver, (record.digest,) if record.state is ChunkState.STORED else ())
         failed += [error for code in {before.vehicle, record.vehicle} for error in _made_again(receiver, code)]
@@ -62,10 +58,12 @@ def retry_and_report(kind: SubjectKind | None, key: str | None) -> None:
     logs.configure(settings)
     with closing(open_store(settings)) as storage:
         with storage.write() as unit:
-            found = unit.quarantine.retry(kind, key)
-        own = [item.key for item in found if item.kind is SubjectKind.RECORDING and item.stage == STAGE]
-        failed = _decode(receiver_of(settings, storage, clock), own)
-    typer.echo(f"{len(own)} recordings tried now, {len(found) - len(own)} others at the next run of their job")
+            items = unit.quarantine.retry(kind, key)
+        recordings = [item.key for item in items if item.kind is SubjectKind.RECORDING and item.stage == STAGE]
+        failed = _decode(receiver_of(settings, storage, clock), recordings)
+    typer.echo(
+        f"{len(recordings)} recordings tried now, {len(items) - len(recordings)} others at the next run of their job"
+    )
     _report(failed)
 
 

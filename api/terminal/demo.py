@@ -79,8 +79,8 @@ def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) ->
     shown = bar(console, "receiving and estimating, campaign by campaign", "{task.fields[what]}")
     with closing(open_store(settings)) as storage, shown as progress:
         contents = [read_registry(fleet.report.registry) for fleet in fleets]
-        for one in contents:
-            _register(storage, one, clock.now_ns())
+        for registry in contents:
+            _register(storage, registry, clock.now_ns())
         context = replace(job_context(settings, storage), clock=clock)
         length_s = settings.window_length_s
         receiver = Receiver(storage, raw_store(settings), default_catalogue(), clock, window_length_s=length_s)
@@ -90,9 +90,9 @@ def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) ->
         tally = _Tally()
         for end_ns, received in campaigns:
             clock.now = max(clock.now, end_ns)
-            for one in contents:
+            for registry in contents:
                 with storage.write() as unit:
-                    for reprofiling in one.reprofilings:
+                    for reprofiling in registry.reprofilings:
                         if reprofiling.at_ns <= clock.now:
                             unit.registry.add_reprofiling(reprofiling)
             progress.update(task, what="receiving")
@@ -148,8 +148,8 @@ def _register(storage: SqlStorage, contents: RegistryContents, known_since_ns: i
     with storage.write() as unit:
         for fleet in contents.fleets:
             unit.registry.add_fleet(fleet)
-        for one in contents.classes:
-            unit.registry.add_vehicle_class(one, known_since_ns)
+        for vehicle_class in contents.classes:
+            unit.registry.add_vehicle_class(vehicle_class, known_since_ns)
         for vehicle in contents.vehicles:
             unit.registry.add_vehicle(vehicle)
         for wheelset in contents.wheelsets:
@@ -168,11 +168,11 @@ def _by_campaign(fleet: Simulated) -> list[tuple[int, list[Recording]]]:
     campaigns: defaultdict[int, list[Recording]] = defaultdict(list)
     for recording in fleet.report.recordings:
         campaigns[recording.campaign].append(recording)
-    scenario, found = fleet.scenario, []
+    scenario, visits = fleet.scenario, []
     for campaign in sorted(campaigns):  # from 1
         last_ns = max(scenario.start_ns(vehicle, campaign - 1) for vehicle in scenario.vehicles)
-        found.append((last_ns + round(scenario.sessions.duration * 1e9) + HOUR_NS, campaigns[campaign]))
-    return found
+        visits.append((last_ns + round(scenario.sessions.duration * 1e9) + HOUR_NS, campaigns[campaign]))
+    return visits
 
 
 START_S = 30.0
@@ -300,11 +300,11 @@ def _print_findings(service: ServiceAddress, fleets: Sequence[Simulated], consol
     covered: list[bool] = []
     for number, fleet in enumerate(fleets):
         truth = fleet.report.truth
-        found = lines(service, truth, fleet.scenario.fleet_code)
+        wheelsets = lines(service, truth, fleet.scenario.fleet_code)
         if number == 0:
-            for table in tables(found, console):
+            for table in tables(wheelsets, console):
                 console.print(table)
-        covered += [line.covers for line in found if line.covers is not None]
+        covered += [line.covers for line in wheelsets if line.covers is not None]
         for text, covers in second_opinions(service, fleet.scenario, true_campaigns(truth)):
             console.print(text, highlight=False)
             covered += [] if covers is None else [covers]

@@ -80,14 +80,14 @@ def _why(reasons: WindowReasons, row: WorklistRow, most: int) -> WithoutEstimate
 def print_each(settings: Settings) -> None:
     """Print of every mounted wheelset without an estimate why it has none, and what to do."""
     with closing(open_store(settings)) as storage, storage.read() as unit:
-        found = fleet_reasons(unit)
-    for line in summary_lines(found) or ["every mounted wheelset has a conicity at 3 mm"]:
+        reasons = fleet_reasons(unit)
+    for line in summary_lines(reasons) or ["every mounted wheelset has a conicity at 3 mm"]:
         typer.echo(line)
-    if found.wheelsets:
+    if reasons.wheelsets:
         table = Table("wheelset", "runs under", "windows", "last data", "why", "what to do")
-        for item in found.wheelsets:
+        for item in reasons.wheelsets:
             why, wheelset = item.why, item.row.wheelset
-            shown = [f"{one.windows} {one.state.value}: {one.reason}" for one in why.windows[:SHOWN]]
+            shown = [f"{windows.windows} {windows.state.value}: {windows.reason}" for windows in why.windows[:SHOWN]]
             table.add_row(
                 wheelset.serial,
                 "" if wheelset.mounting is None else f"{wheelset.mounting.vehicle}, axle {wheelset.mounting.axle}",
@@ -99,25 +99,25 @@ def print_each(settings: Settings) -> None:
         Console().print(table)
 
 
-def summary_lines(found: FleetReasons) -> list[str]:
+def summary_lines(reasons: FleetReasons) -> list[str]:
     """Return why wheelsets have no estimate, all together: a line a reason; none where all have one."""
-    if not found.wheelsets:
+    if not reasons.wheelsets:
         return []
-    head = f"{len(found.wheelsets)} of {found.mounted} mounted wheelsets have no conicity at 3 mm"
-    windows = together(one for item in found.wheelsets for one in item.why.windows)
-    lines = [f"{head}; their newest windows, at most {found.most:,} of each:" if windows else f"{head}:"]
-    lines += [f"  {line_of(one)}" for one in windows[:NAMED]]
-    return lines + [f"  {line}" for line in _without_windows(found.wheelsets)]
+    head = f"{len(reasons.wheelsets)} of {reasons.mounted} mounted wheelsets have no conicity at 3 mm"
+    windows = together(windows for item in reasons.wheelsets for windows in item.why.windows)
+    lines = [f"{head}; their newest windows, at most {reasons.most:,} of each:" if windows else f"{head}:"]
+    lines += [f"  {line_of(counted)}" for counted in windows[:NAMED]]
+    return lines + [f"  {line}" for line in _without_windows(reasons.wheelsets)]
 
 
 def _without_windows(wheelsets: Iterable[Unestimated]) -> list[str]:
     """Return a line for those wheelsets, of which no window says why, for which there is the same to do."""
-    found: dict[tuple[ReasonCode, str], list[Unestimated]] = {}
+    alike: dict[tuple[ReasonCode, str], list[Unestimated]] = {}
     for item in wheelsets:
         if not item.why.windows:
-            found.setdefault((item.why.reason.code, item.why.what_to_do), []).append(item)
+            alike.setdefault((item.why.reason.code, item.why.what_to_do), []).append(item)
     lines = []
-    for (code, to_do), items in sorted(found.items(), key=lambda pair: -len(pair[1]))[:NAMED]:
+    for (code, to_do), items in sorted(alike.items(), key=lambda pair: -len(pair[1]))[:NAMED]:
         what = "without a window" if code in WITHOUT_GEOMETRY else code.value
         lines.append(
             f"{len(items)} {what}, such as {items[0].row.wheelset.serial}: {items[0].why.reason}. {to_do}".rstrip()
@@ -125,11 +125,11 @@ def _without_windows(wheelsets: Iterable[Unestimated]) -> list[str]:
     return lines
 
 
-def line_of(one: WindowsOfReason) -> str:
+def line_of(windows: WindowsOfReason) -> str:
     """Return windows of one reason as a line: how many, why, and what to do."""
-    code = "" if one.reason is None else f" {one.reason.code.value}: {one.reason}"
-    remedy = "" if one.reason is None or not one.reason.code.remedy else f". {one.reason.code.remedy}"
-    return f"{one.windows} {one.state.value}{code}{remedy}"
+    code = "" if windows.reason is None else f" {windows.reason.code.value}: {windows.reason}"
+    remedy = "" if windows.reason is None or not windows.reason.code.remedy else f". {windows.reason.code.remedy}"
+    return f"{windows.windows} {windows.state.value}{code}{remedy}"
 
 
 def run_jobs_once(name: str | None, settings: Settings) -> bool:
@@ -139,8 +139,8 @@ def run_jobs_once(name: str | None, settings: Settings) -> bool:
     scheduled = scheduled_jobs(settings)
     jobs = [job for job in scheduled if name in {None, job.name}]
     if not jobs:
-        known = ", ".join(job.name for job in scheduled)
-        raise ParameterError(f"no job {name!r}; there are {known}", field="--job")
+        names = ", ".join(job.name for job in scheduled)
+        raise ParameterError(f"no job {name!r}; there are {names}", field="--job")
     console = Console(stderr=True)
     stopping = threading.Event()
     stop_on_signals(stopping)
@@ -190,4 +190,4 @@ def summary(runs: Sequence[JobRun]) -> Table:
 def _counts(counts: Mapping[str, int]) -> str:
     why = ", ".join(f"{count} {code.value}" for code, count in refusals(counts).items())
     named = [f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if not name.startswith(REFUSED)]
-    return ", ".join(f"{one}: {why}" if why and one.endswith(" refused") else one for one in named)
+    return ", ".join(f"{count}: {why}" if why and count.endswith(" refused") else count for count in named)

@@ -80,7 +80,7 @@ def ingest_and_report(
         vehicles = {outcome.record.vehicle for _, outcome in outcomes if isinstance(outcome, ChunkReceipt)}
         with storage.read() as unit:
             reasons = WindowReasons(unit).waiting(vehicles=sorted(vehicles)) if vehicles else ()
-    print_outcomes(outcomes, console, [line_of(one) for one in reasons])
+    print_outcomes(outcomes, console, [line_of(windows) for windows in reasons])
 
 
 def print_outcomes(outcomes: Sequence[Outcome], console: Console, waiting: Sequence[str] = ()) -> None:
@@ -102,7 +102,7 @@ def recordings_of(places: Iterable[Path], vehicle: str | None) -> tuple[list[tup
 
     Files in folders whose names contain no vehicle come second, with why they are left out.
     """
-    found: list[tuple[Path, str]] = []
+    recordings: list[tuple[Path, str]] = []
     unnamed: list[Outcome] = []
     for place in places:
         if place.is_dir():
@@ -111,14 +111,14 @@ def recordings_of(places: Iterable[Path], vehicle: str | None) -> tuple[list[tup
                 raise InputError(f"holds no recording ({', '.join(SUFFIXES)})", file=place)
             for path in inside:
                 try:
-                    found.append((path, vehicle or vehicle_in_name(path)))
+                    recordings.append((path, vehicle or vehicle_in_name(path)))
                 except InputError as error:
                     unnamed.append((path, error))
         elif place.exists():
-            found.append((place, vehicle or vehicle_in_name(place)))
+            recordings.append((place, vehicle or vehicle_in_name(place)))
         else:
             raise InputError("does not exist", file=place)
-    return found, unnamed
+    return recordings, unnamed
 
 
 def _say_left_out(places: Iterable[Path], console: Console) -> None:
@@ -155,8 +155,8 @@ def summary(outcomes: Sequence[Outcome]) -> Table:
     table = Table("vehicle", "recordings", "known before", "frames", "windows changed", "marked and counted")
     receipts = [outcome for _, outcome in outcomes if isinstance(outcome, ChunkReceipt)]
     for vehicle in sorted({receipt.record.vehicle for receipt in receipts}):
-        own = [receipt for receipt in receipts if receipt.record.vehicle == vehicle]
-        fresh = [receipt for receipt in own if not receipt.known]
+        of_vehicle = [receipt for receipt in receipts if receipt.record.vehicle == vehicle]
+        fresh = [receipt for receipt in of_vehicle if not receipt.known]
         counts: Counter[str] = Counter()
         for receipt in fresh:
             counts.update(receipt.record.counts)
@@ -165,10 +165,10 @@ def summary(outcomes: Sequence[Outcome]) -> Table:
         )
         table.add_row(
             vehicle,
-            str(len(own)),
-            str(len(own) - len(fresh)),
+            str(len(of_vehicle)),
+            str(len(of_vehicle) - len(fresh)),
             f"{sum(receipt.record.frames for receipt in fresh):,}",
-            str(sum(receipt.windows_changed for receipt in own)),
+            str(sum(receipt.windows_changed for receipt in of_vehicle)),
             marked,
         )
     return table
@@ -224,7 +224,7 @@ def _nanoseconds(moment: datetime | None, field: str) -> int | None:
     if moment is None:
         return None
     since = (moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)) - EPOCH
-    found = (since.days * 86_400_000_000 + since.seconds * 1_000_000 + since.microseconds) * 1000
-    if not EARLIEST_NS <= found <= LATEST_NS:
+    time_ns = (since.days * 86_400_000_000 + since.seconds * 1_000_000 + since.microseconds) * 1000
+    if not EARLIEST_NS <= time_ns <= LATEST_NS:
         raise ParameterError(f"{moment.year} is outside the years that can be stored; leave it out", field=field)
-    return found
+    return time_ns

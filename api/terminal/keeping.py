@@ -55,16 +55,16 @@ def check_and_report() -> None:
     settings = load_settings()
     raw = raw_store(settings)
     with closing(open_store(settings)) as storage, counted("reading files") as progress:
-        found = check_deep(storage, raw, progress)
-    harmful = sum(not finding.harmless for finding in found.findings)
-    verdict = f"{harmful:,} damaged or lost, {len(found.findings) - harmful:,} files that nothing refers to"
-    typer.echo(f"read {found.files:,} files and {found.rows:,} packed values: {verdict}")
-    lines = [f"{finding.kind}: {finding.subject}: {finding.detail}" for finding in found.findings]
+        check = check_deep(storage, raw, progress)
+    harmful = sum(not finding.harmless for finding in check.findings)
+    verdict = f"{harmful:,} damaged or lost, {len(check.findings) - harmful:,} files that nothing refers to"
+    typer.echo(f"read {check.files:,} files and {check.rows:,} packed values: {verdict}")
+    lines = [f"{finding.kind}: {finding.subject}: {finding.detail}" for finding in check.findings]
     for line in lines[:LISTED]:
         typer.echo(line)
     if len(lines) > LISTED:
         typer.echo(f"and {len(lines) - LISTED:,} more")
-    if found.damaged:
+    if check.damaged:
         raise typer.Exit(1)
 
 
@@ -73,9 +73,9 @@ def purge_and_report() -> None:
     settings = load_settings()
     with closing(open_store(settings)) as storage:
         done = purge(storage, raw_store(settings), retention_of(settings), SystemClock().now_ns(), lambda: None)
-    for one in done:
-        size = f", {one.item_bytes:,} bytes" if one.item_bytes else ""
-        typer.echo(f"{one.kind.value.replace('_', ' ')}: {one.items:,} deleted{size}")
+    for purged in done:
+        size = f", {purged.item_bytes:,} bytes" if purged.item_bytes else ""
+        typer.echo(f"{purged.kind.value.replace('_', ' ')}: {purged.items:,} deleted{size}")
 
 
 def _list(what: str, lines: tuple[str, ...]) -> None:
@@ -97,19 +97,19 @@ def print_stored_bytes(*, as_json: bool, hours_per_day: float | None) -> None:
     settings = load_settings()
     with closing(open_store(settings)) as storage:
         raw = raw_store(settings)
-        found = stored_bytes(storage, raw, retention_of(settings), hours_per_day)
-    typer.echo(json.dumps(_document(found, raw.url), indent=2) if as_json else _table(found, raw.url))
+        stored = stored_bytes(storage, raw, retention_of(settings), hours_per_day)
+    typer.echo(json.dumps(_document(stored, raw.url), indent=2) if as_json else _table(stored, raw.url))
 
 
-def _document(found: StoredBytes, raw_url: str) -> dict[str, object]:
-    kinds = [{**asdict(kind), "bytes": kind.bytes} for kind in found.kinds]
-    year = sum(kind.wheelset_year_bytes or 0 for kind in found.kinds)
-    totals = {"total_bytes": found.total, "free_bytes": found.free_bytes, "wheelset_year_bytes": year}
-    return {**totals, "raw_store": raw_url, "running": asdict(found.running), "kinds": kinds}
+def _document(stored: StoredBytes, raw_url: str) -> dict[str, object]:
+    kinds = [{**asdict(kind), "bytes": kind.bytes} for kind in stored.kinds]
+    year = sum(kind.wheelset_year_bytes or 0 for kind in stored.kinds)
+    totals = {"total_bytes": stored.total, "free_bytes": stored.free_bytes, "wheelset_year_bytes": year}
+    return {**totals, "raw_store": raw_url, "running": asdict(stored.running), "kinds": kinds}
 
 
-def _table(found: StoredBytes, raw_url: str) -> str:
-    running = found.running
+def _table(stored: StoredBytes, raw_url: str) -> str:
+    running = stored.running
     head = (
         f"{running.wheelsets:,} wheelsets of {running.vehicles:,} vehicles have data: {running.wheelset_hours:,.0f} "
         f"hours of wheelsets, {running.hours_per_day:.1f} hours a day lately"
@@ -117,32 +117,32 @@ def _table(found: StoredBytes, raw_url: str) -> str:
     columns = (
         f"{'kind':22}{'items':>14}{'bytes':>10}{'indexes':>10}{'share':>7}{'a wheelset':>12}{'days':>10}{'a year':>10}"
     )
-    lines = [_line(kind, found) for kind in found.kinds if kind.bytes]
-    year = sum(kind.wheelset_year_bytes or 0 for kind in found.kinds)
-    each = _each(found.total, found)
-    total = f"{'sum':36}{size(found.total):>10}{'':>17}{each:>12}{'':>10}{size(year):>10}"
+    lines = [_line(kind, stored) for kind in stored.kinds if kind.bytes]
+    year = sum(kind.wheelset_year_bytes or 0 for kind in stored.kinds)
+    each = _each(stored.total, stored)
+    total = f"{'sum':36}{size(stored.total):>10}{'':>17}{each:>12}{'':>10}{size(year):>10}"
     notes = [
         "a year: what one wheelset keeps of a year at this running and these days",
         "~ sampled, or as the database estimates it",
         f"raw recordings are in {raw_url}",
     ]
-    if found.free_bytes:
-        notes.append(f"{size(found.free_bytes)} of the database file are free: SQLite uses them again")
+    if stored.free_bytes:
+        notes.append(f"{size(stored.free_bytes)} of the database file are free: SQLite uses them again")
     return "\n".join([head, "", columns, *lines, total, "", *notes])
 
 
-def _line(kind: StoredKind, found: StoredBytes) -> str:
+def _line(kind: StoredKind, stored: StoredBytes) -> str:
     about = "~" if kind.estimated else ""
     days = FOR_EVER if kind.days is None else f"{kind.days:g}"
     year = "" if kind.wheelset_year_bytes is None else size(kind.wheelset_year_bytes)
     return (
         f"{kind.kind:22}{about + format(kind.items, ','):>14}{about + size(kind.bytes):>10}{size(kind.index_bytes):>10}"
-        f"{kind.bytes / max(found.total, 1):>7.1%}{_each(kind.bytes, found):>12}{days:>10}{year:>10}"
+        f"{kind.bytes / max(stored.total, 1):>7.1%}{_each(kind.bytes, stored):>12}{days:>10}{year:>10}"
     )
 
 
-def _each(of_all: int, found: StoredBytes) -> str:
-    return size(round(of_all / found.running.wheelsets)) if found.running.wheelsets else ""
+def _each(of_all: int, stored: StoredBytes) -> str:
+    return size(round(of_all / stored.running.wheelsets)) if stored.running.wheelsets else ""
 
 
 def size(count: float) -> str:

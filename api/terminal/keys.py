@@ -48,8 +48,8 @@ def make_stored_key(settings: Settings, wanted: Wanted) -> tuple[ApiKey, str]:
 def key_list() -> str:
     """Return all keys, one a line."""
     with reading() as unit:
-        found, now_ns = unit.api_keys.page(None, None), time.time_ns()
-    return columns([KEY_HEAD, *(_key_row(key, now_ns) for key in found)])
+        keys, now_ns = unit.api_keys.page(None, None), time.time_ns()
+    return columns([KEY_HEAD, *(_key_row(key, now_ns) for key in keys)])
 
 
 def revoke_and_print(prefix: str) -> None:

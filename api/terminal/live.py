@@ -209,7 +209,7 @@ def _readiness(statuses: Mapping[str, LiveStatus]) -> Answer:
     alive = all(status.alive for status in statuses.values())
     since_s = {vehicle: status.silent_since_s for vehicle, status in statuses.items()}
     silent_s = {v: None if s is None else round(max(0.0, time.time() - s), 1) for v, s in since_s.items()}
-    bad = {vehicle: found for vehicle, found in faults.items() if found}
+    bad = {vehicle: fault for vehicle, fault in faults.items() if fault}
     return json_answer(alive and not bad, {"faults": bad, "silent_for_s": silent_s})
 
 

@@ -16,9 +16,9 @@ MOST_LISTED = 10_000
 def recording_list(chosen: ChosenChunks, limit: int) -> str:
     """Return recordings as lines, the newest first."""
     with reading() as unit:
-        found = unit.chunks.page(chosen, limit)
+        records = unit.chunks.page(chosen, limit)
     head = ("digest", "kind", "vehicle", "received", "first", "last", "frames", "state", "reason")
-    return columns([head, *map(recording_line, found)])
+    return columns([head, *map(recording_line, records)])
 
 
 def recording_text(digest: str) -> str:
@@ -48,9 +48,9 @@ def recording_text(digest: str) -> str:
 def quarantine_list(*, everything: bool) -> str:
     """Return what is in quarantine as lines, by last failure."""
     with reading() as unit:
-        found = unit.quarantine.all(MOST_LISTED) if everything else unit.quarantine.held()
+        items = unit.quarantine.all(MOST_LISTED) if everything else unit.quarantine.held()
     head = ("kind", "key", "stage", "state", "reason code", "attempts", "first", "last", "next", "error")
-    return columns([head, *map(_quarantine_line, found)])
+    return columns([head, *map(_quarantine_line, items)])
 
 
 def recording_line(record: ChunkRecord) -> tuple[str, ...]:
@@ -78,13 +78,5 @@ def _change_line(change: RecordingChange) -> str:
 
 def _quarantine_line(item: Quarantined) -> tuple[str, ...]:
     times = (to_rfc3339(item.first_ns), to_rfc3339(item.last_ns), to_rfc3339(item.due_ns))
-    return (
-        item.kind.value,
-        item.key,
-        item.stage,
-        item.state.value,
-        item.code.value,
-        str(item.attempts),
-        *times,
-        item.error,
-    )
+    place = (item.kind.value, item.key, item.stage)
+    return (*place, item.state.value, item.code.value, str(item.attempts), *times, item.error)

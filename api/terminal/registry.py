@@ -58,10 +58,10 @@ def _at(kind: RecordKind, at: str | None) -> int | None:
 
 def _line(event: RegistryEvent) -> str:
     when = "" if event.recorded_ns is None else to_rfc3339(event.recorded_ns)
-    at = "" if event.at_ns is None else f" {to_rfc3339(event.at_ns)}"
+    moment = "" if event.at_ns is None else f" {to_rfc3339(event.at_ns)}"
     who = f" by {event.actor}" if event.actor else ""
     why = f" ({event.reason})" if event.reason else ""
-    return f"{when} {event.action} {event.kind} {event.subject}{at}{who}{why}: {_text(event.record)}"
+    return f"{when} {event.action} {event.kind} {event.subject}{moment}{who}{why}: {_text(event.record)}"
 
 
 def _text(record: Mapping[str, JsonValue]) -> str:
@@ -104,13 +104,13 @@ def load_and_report(file: Path, confirmed: Sequence[Rule], actor: str, why: str)
 def registry_lines(loaded: LoadedRegistry) -> list[str]:
     """Return what people must know of a registry that was loaded: what is estimated again, and what is not at all."""
     lines = []
-    for one in loaded.again:
-        whose = ", ".join(one.subjects)
-        if one.windows and one.from_ns is not None:
-            since = to_rfc3339(one.from_ns)
-            sections = f", and the alignment of {', '.join(one.sections)}" if one.sections else ""
-            lines.append(f"estimated again: {one.windows:,} windows of {whose} since {since}{sections}")
-        elif one.from_ns is not None:
+    for again in loaded.again:
+        whose = ", ".join(again.subjects)
+        if again.windows and again.from_ns is not None:
+            since = to_rfc3339(again.from_ns)
+            sections = f", and the alignment of {', '.join(again.sections)}" if again.sections else ""
+            lines.append(f"estimated again: {again.windows:,} windows of {whose} since {since}{sections}")
+        elif again.from_ns is not None:
             lines.append(f"estimated again: geometries of {whose}, with other standard deviations")
     for code in sorted({vehicle.vehicle_class for vehicle in loaded.without_class}):
         vehicles = ", ".join(item.code for item in loaded.without_class if item.vehicle_class == code)
@@ -143,13 +143,13 @@ def check_and_report(file: Path, confirmed: Sequence[Rule]) -> None:
 def export_and_report(file: Path) -> None:
     """Write the registry as a file, and print how much it holds."""
     with reading() as unit:
-        found = write_export(file, unit)
-    typer.echo(f"wrote {file}: {found.records:,} records, {len(found.files):,} files beside it")
+        export = write_export(file, unit)
+    typer.echo(f"wrote {file}: {export.records:,} records, {len(export.files):,} files beside it")
 
 
 def refusal_lines(error: RegistryRefusedError) -> list[str]:
     """Return everything that is wrong, a line each, in the order of the file."""
-    return [str(one.error) for one in error.refusals]
+    return [str(refusal.error) for refusal in error.refusals]
 
 
 def _entry(confirmed: Sequence[Rule], actor: str, why: str) -> Entry:

@@ -47,12 +47,12 @@ def print_rules(book: RuleBook) -> None:
     shipped, everywhere = _settings(RuleBook()), _settings(book)
     console.print("\nall fleets and classes (* differs from the shipped rules)", highlight=False)
     console.print(_settings_table(everywhere, shipped))
-    for scope, one in resolved(book).items():
-        if one is book:
+    for scope, of_scope in resolved(book).items():
+        if of_scope is book:
             continue
-        own = {key: value for key, value in _settings(one).items() if everywhere.get(key) != value}
+        differing = {key: value for key, value in _settings(of_scope).items() if everywhere.get(key) != value}
         console.print(f"\n{scope}: all of the above but", highlight=False)
-        console.print(_settings_table(own, shipped) if own else "  nothing")
+        console.print(_settings_table(differing, shipped) if differing else "  nothing")
 
 
 def _settings_table(settings: _Settings, shipped: _Settings) -> Table:
@@ -66,21 +66,21 @@ def _settings_table(settings: _Settings, shipped: _Settings) -> Table:
 
 
 def _settings(book: RuleBook) -> _Settings:
-    found = {(rule.kind, name): value for rule in book.rules for name, value in _flat(rule)}
-    return found | {("alarm_flood", name): value for name, value in _flat(book.alarm_flood)}
+    settings = {(rule.kind, name): value for rule in book.rules for name, value in _flat(rule)}
+    return settings | {("alarm_flood", name): value for name, value in _flat(book.alarm_flood)}
 
 
 def _flat(value: object, prefix: str = "") -> Iterator[tuple[str, str]]:
     if not is_dataclass(value):
         return
     for item in fields(value):
-        one = getattr(value, item.name)
-        if is_dataclass(one):
-            yield from _flat(one, f"{prefix}{item.name}.")
-        elif isinstance(one, tuple):
-            yield from ((f"{prefix}{item.name}[{i}]", _band(band)) for i, band in enumerate(one))
+        setting = getattr(value, item.name)
+        if is_dataclass(setting):
+            yield from _flat(setting, f"{prefix}{item.name}.")
+        elif isinstance(setting, tuple):
+            yield from ((f"{prefix}{item.name}[{i}]", _band(band)) for i, band in enumerate(setting))
         else:
-            yield f"{prefix}{item.name}", f"{one:g}" if isinstance(one, float) else str(one)
+            yield f"{prefix}{item.name}", f"{setting:g}" if isinstance(setting, float) else str(setting)
 
 
 def _band(band: SpeedBand) -> str:
@@ -105,15 +105,15 @@ def replay(from_: str, to: str | None, file: Path | None, fleet: str | None) -> 
     with closing(open_store(settings)) as storage:
         with storage.read() as unit:
             _check_codes(unit, tried or in_force, fleet, console)
-        found = _replayed(storage, (in_force, tried or in_force), span, fleet)
+        changed = _replayed(storage, (in_force, tried or in_force), span, fleet)
     print_line(console, f"{to_rfc3339(span[0])} to {to_rfc3339(span[1])}")
     print_line(console, f"rules in force: {in_force.version}")
     if tried is None:
-        console.print(_alerts_table([one for changes in found.values() for one in changes]))
+        console.print(_alerts_table([change for changes in changed.values() for change in changes]))
     else:
         print_line(console, f"rules tried:    {tried.version}")
-        console.print(_summary(found))
-        listed = [one for changes in found.values() for one in changes if one.change is not Change.SAME]
+        console.print(_summary(changed))
+        listed = [change for changes in changed.values() for change in changes if change.change is not Change.SAME]
         console.print(_alerts_table(listed) if listed else "no alert differs")
     console.print(
         f"not replayed: {', '.join(NOT_REPLAYED)}, rejected recordings, grouping into fleet alerts; low_adhesion "
@@ -132,13 +132,13 @@ def _moment(text: str, name: str) -> int:
 
 def _check_codes(unit: SqlUnitOfWork, book: RuleBook, fleet: str | None, console: Console) -> None:
     """Say which fleets and classes of the rules the registry does not have: nothing follows from them."""
-    fleets = {one.code for one in unit.registry.fleets()}
+    fleets = {record.code for record in unit.registry.fleets()}
     if fleet is not None and fleet not in fleets:
         raise NotFoundError("fleet", fleet)
-    unknown = {f"fleet {one}" for one, _ in book.scoped if one is not None and one not in fleets}
-    classes = {one for _, one in book.scoped if one is not None}
-    used = {one.vehicle_class for code in fleets for one in unit.registry.vehicles_page(code, None, _ALL)}
-    unknown |= {f"class {one}" for one in classes - used}
+    unknown = {f"fleet {code}" for code, _ in book.scoped if code is not None and code not in fleets}
+    classes = {code for _, code in book.scoped if code is not None}
+    used = {vehicle.vehicle_class for code in fleets for vehicle in unit.registry.vehicles_page(code, None, _ALL)}
+    unknown |= {f"class {code}" for code in classes - used}
     for name in sorted(unknown):
         console.print(f"no vehicle is of {name}", highlight=False)
 
@@ -147,37 +147,37 @@ def _replayed(
     storage: SqlStorage, books: tuple[RuleBook, RuleBook], span: tuple[int, int], fleet: str | None
 ) -> Mapping[str, Sequence[Difference]]:
     with storage.read() as unit:
-        serials = [one.serial for one in unit.registry.wheelsets() if fleet in (None, one.fleet)]
-        sections = [one.code for one in unit.tracks.sections()]
-    found: dict[str, Sequence[Difference]] = {}
+        serials = [wheelset.serial for wheelset in unit.registry.wheelsets() if fleet in (None, wheelset.fleet)]
+        sections = [section.code for section in unit.tracks.sections()]
+    changed: dict[str, Sequence[Difference]] = {}
     with bar(Console(stderr=True), "replaying the rules") as progress:
         for serial in progress.track(serials):
             with storage.read() as unit:
                 history = history_of(unit, serial)
             before = replayed(history, books[0], span)
             after = before if books[1] is books[0] else replayed(history, books[1], span)
-            found[serial] = differences(before, after)
+            changed[serial] = differences(before, after)
         for section in sections:
             with storage.read() as unit:
                 before = _of_fleet(section_replayed(unit, section, books[0], span), fleet)
                 same = books[1] is books[0]
                 after = before if same else _of_fleet(section_replayed(unit, section, books[1], span), fleet)
-            for one in sorted({alert.fleet for alert in (*before, *after)}):
-                found[f"{section} {one}"] = differences(_of_fleet(before, one), _of_fleet(after, one))
-    return found
+            for code in sorted({alert.fleet for alert in (*before, *after)}):
+                changed[f"{section} {code}"] = differences(_of_fleet(before, code), _of_fleet(after, code))
+    return changed
 
 
 def _of_fleet(alerts: Sequence[Alert], fleet: str | None) -> list[Alert]:
-    return [one for one in alerts if fleet in (None, one.fleet)]
+    return [alert for alert in alerts if fleet in (None, alert.fleet)]
 
 
-def _summary(found: Mapping[str, Sequence[Difference]]) -> Table:
+def _summary(changed: Mapping[str, Sequence[Difference]]) -> Table:
     counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
-    for one in (one for changes in found.values() for one in changes):
-        kind = _either(one).kind
-        counts[kind][one.change] += 1
-        counts[kind]["in force"] += one.before is not None
-        counts[kind]["tried"] += one.after is not None
+    for change in (change for changes in changed.values() for change in changes):
+        kind = _either(change).kind
+        counts[kind][change.change] += 1
+        counts[kind]["in force"] += change.before is not None
+        counts[kind]["tried"] += change.after is not None
     columns = ("in force", "tried", *_SHOWN)
     table = Table("kind", *columns, box=box.SIMPLE_HEAD, pad_edge=False)
     for kind in sorted(counts):
@@ -187,20 +187,22 @@ def _summary(found: Mapping[str, Sequence[Difference]]) -> Table:
 
 def _alerts_table(listed: Sequence[Difference]) -> Table:
     """Return the alerts in order; where some differ, with the change and the dates by the rules in force."""
-    differ = any(one.change is not Change.SAME for one in listed)
+    differ = any(difference.change is not Change.SAME for difference in listed)
     columns = ("wheelset or section", "kind", "severity", "opened", "closed")
     table = Table(*(("change", *columns, "in force") if differ else columns), box=box.SIMPLE_HEAD, pad_edge=False)
-    for one in listed:
-        alert = _either(one)
-        dates = ("", "") if one.after is None else (_day(alert.opened_ns), _day(alert.closed_ns))
+    for difference in listed:
+        alert = _either(difference)
+        dates = ("", "") if difference.after is None else (_day(alert.opened_ns), _day(alert.closed_ns))
         row = [alert.wheelset or alert.track_section, alert.kind, alert.severity.value, *dates]
-        before = "" if one.before is None else f"{_day(one.before.opened_ns)} - {_day(one.before.closed_ns)}"
-        table.add_row(*([one.change.value, *row, before] if differ else row))
+        before, was = "", difference.before
+        if was is not None:
+            before = f"{_day(was.opened_ns)} - {_day(was.closed_ns)}"
+        table.add_row(*([difference.change.value, *row, before] if differ else row))
     return table
 
 
-def _either(one: Difference) -> Alert:
-    alert = one.after or one.before
+def _either(difference: Difference) -> Alert:
+    alert = difference.after or difference.before
     if alert is None:
         raise AssertionError  # a difference has one of both
     return alert

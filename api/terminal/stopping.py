@@ -14,6 +14,8 @@ def stop_on_signals(stop_event: Event) -> None:
 
     Python runs a handler in the main thread, and not before this goes on: a signal that comes just before it waits, or
     to another thread, would be seen when the wait is over. So a thread of its own reads what C writes at once.
+
+    A child that is forked shares the pipe, and has no thread that reads: a signal to it ends it alone.
     """
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
@@ -27,3 +29,10 @@ def stop_on_signals(stop_event: Event) -> None:
     for number in STOPPING:
         signal.signal(number, lambda *_: None)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    os.register_at_fork(after_in_child=_end_on_signals)
+
+
+def _end_on_signals() -> None:
+    signal.set_wakeup_fd(-1)
+    for number in STOPPING:
+        signal.signal(number, signal.SIG_DFL)

@@ -64,8 +64,8 @@ def _critical_speeds(vehicle_class: VehicleClass) -> Iterator[str]:
     yield "Critical speed"
     for conicity in CONICITIES:
         speed = critical_speed(vehicle_class, LinearContact(conicity))
-        found = f"above {VEHICLE.highest_speed:g} m/s" if math.isinf(speed) else f"{speed:.0f} m/s"
-        yield f"  conicity {conicity:g}: {found}"
+        critical = f"above {VEHICLE.highest_speed:g} m/s" if math.isinf(speed) else f"{speed:.0f} m/s"
+        yield f"  conicity {conicity:g}: {critical}"
 
 
 def _observability(vehicle_class: VehicleClass, running: Running) -> Iterator[str]:

@@ -30,10 +30,10 @@ def add_and_print(
     url: str, description: str, fleets: Collection[str], kinds: Collection[str], severities: Collection[str]
 ) -> None:
     """Make a webhook; print its secret alone on standard output."""
-    for given, known, option in ((kinds, LIMIT_UNITS, "--kind"), (severities, list(Severity), "--severity")):
-        for one in given:
-            if one not in known:
-                raise ParameterError(f"{one!r} is none of {', '.join(known)}", field=option)
+    for given, allowed, option in ((kinds, LIMIT_UNITS, "--kind"), (severities, list(Severity), "--severity")):
+        for value in given:
+            if value not in allowed:
+                raise ParameterError(f"{value!r} is none of {', '.join(allowed)}", field=option)
     if len(description) > MOST_CHARACTERS or not description.isprintable():
         raise ParameterError(f"must be one line of at most {MOST_CHARACTERS} characters", field="--description")
     sender = sender_of(load_settings())
@@ -52,8 +52,8 @@ def add_and_print(
 def webhook_list() -> str:
     """Return all webhooks, one a line."""
     with reading() as unit:
-        found, waiting = unit.webhooks.page(None, None), unit.webhooks.waiting()
-    return columns([WEBHOOK_HEAD, *(_webhook_row(one, waiting.get(one.webhook_id)) for one in found)])
+        webhooks, waiting = unit.webhooks.page(None, None), unit.webhooks.waiting()
+    return columns([WEBHOOK_HEAD, *(_webhook_row(webhook, waiting.get(webhook.webhook_id)) for webhook in webhooks)])
 
 
 def try_and_print(number: int) -> bool:
@@ -85,12 +85,12 @@ def replay_and_print(number: int, after: str | None, from_time: str | None) -> N
     except ValueError as error:
         raise ParameterError(str(error), field="--from") from None
     with writing() as unit:
-        known = unit.webhooks.locked(number)
+        webhook = unit.webhooks.locked(number)
         try:
-            place = place_of(unit, known, after, from_ns, "/v1/alerts/feed")
+            place = place_of(unit, webhook, after, from_ns, "/v1/alerts/feed")
         except ProblemError as error:
             raise ParameterError(error.detail, field="--after") from None
-        unit.webhooks.change(replace(known, position=place))
+        unit.webhooks.change(replace(webhook, position=place))
         note(unit, "webhooks", "replay", str(number))
     typer.echo(f"webhook {number} goes on behind event {place}")
 

@@ -14,7 +14,6 @@ import orjson
 
 from api.answers import payload_of
 from api.feed import pages
-from api.feed import pages as feed_cursors
 from api.feed.pages import LATEST, FeedFilter
 from api.problems import ProblemError
 from api.schemas import alerts
@@ -53,7 +52,7 @@ def signed_headers(secrets_of: Sequence[str], event_id: str, now_ns: int, body: 
         "Content-Type": MEDIA_TYPE,
         "webhook-id": event_id,
         "webhook-timestamp": str(timestamp),
-        "webhook-signature": " ".join(signature(one, event_id, timestamp, body) for one in secrets_of),
+        "webhook-signature": " ".join(signature(secret, event_id, timestamp, body) for secret in secrets_of),
     }
 
 
@@ -65,8 +64,8 @@ def event_id(visible: frozenset[str] | None, branches: Sequence[FeedBranch], eve
 
     It is of the branch in which the event happened, so that it stays the same when the database is restored.
     """
-    of = next((one for one in reversed(branches) if one.after_sequence < event.sequence), branches[0])
-    return pages.cursor_behind(FeedFilter(visible=visible), of, event)
+    of_event = next((branch for branch in reversed(branches) if branch.after_sequence < event.sequence), branches[0])
+    return pages.cursor_behind(FeedFilter(visible=visible), of_event, event)
 
 
 def cloud_event(branches: Sequence[FeedBranch], identity: str, event: AlertEvent) -> bytes:
@@ -162,13 +161,13 @@ def place_of(unit: SqlUnitOfWork, webhook: Webhook, after: str | None, from_ns: 
         return unit.webhooks.last_before(from_ns)
     if after == LATEST:
         return unit.feed_branches.newest_sequence()
-    whole = FeedFilter(visible=webhook.bound)
-    own = replace(whole, fleets=webhook.fleets, kinds=webhook.kinds, severities=webhook.severities)
+    narrowed = FeedFilter(visible=webhook.bound)
     try:
-        narrowed, given = whole, feed_cursors.cursor_of(whole, after)
+        cursor = pages.cursor_of(narrowed, after)
     except ProblemError:
-        narrowed, given = own, feed_cursors.cursor_of(own, after)
-    last = feed_cursors.event_of(unit, narrowed, path, given)
+        narrowed = FeedFilter(webhook.fleets, webhook.kinds, webhook.severities, webhook.bound)
+        cursor = pages.cursor_of(narrowed, after)
+    last = pages.event_of(unit, narrowed, path, cursor)
     return 0 if last is None else last.sequence
 
 
@@ -179,5 +178,4 @@ def handled_up_to(unit: SqlUnitOfWork, webhook: Webhook) -> int:
     """
     fleets = webhook.fleets or webhook.bound or frozenset()
     waits = unit.alerts.feed(webhook.position, 1, fleets=fleets, kinds=webhook.kinds, severities=webhook.severities)
-    newest = unit.feed_branches.newest_sequence()
-    return max(webhook.position, waits[0].sequence - 1 if waits else newest)
+    return max(webhook.position, waits[0].sequence - 1 if waits else unit.feed_branches.newest_sequence())

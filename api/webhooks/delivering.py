@@ -180,22 +180,22 @@ class Deliveries:
             active, waiting = unit.webhooks.active(), unit.webhooks.waiting()
             newest = unit.feed_branches.newest_sequence()
         return [
-            one.webhook_id
-            for one in active
-            if one.position < newest
-            and _is_due(waiting.get(one.webhook_id), now_ns)
-            and self._looked.get(one.webhook_id) != (one.revision, one.position, newest)
+            webhook.webhook_id
+            for webhook in active
+            if webhook.position < newest
+            and _is_due(waiting.get(webhook.webhook_id), now_ns)
+            and self._looked.get(webhook.webhook_id) != (webhook.revision, webhook.position, newest)
         ]
 
     async def _deliver(self, webhook_id: int) -> None:
         try:
             while not self._ending:
-                found = await asyncio.to_thread(self._next, webhook_id)
-                if found is None:
+                due = await asyncio.to_thread(self._next, webhook_id)
+                if due is None:
                     return
                 async with self._places:
-                    outcome = await self._send(found)
-                if not await asyncio.to_thread(self._store, found, outcome):
+                    outcome = await self._send(due)
+                if not await asyncio.to_thread(self._store, due, outcome):
                     return
         except NotFoundError:
             return  # deleted meanwhile
@@ -218,38 +218,33 @@ class Deliveries:
             return None
         with self.storage.seen_by(webhook.bound).read() as unit:
             newest, branches = unit.feed_branches.newest_sequence(), unit.feed_branches.all()
-            events = unit.alerts.feed(
-                webhook.position, 1, fleets=webhook.fleets, kinds=webhook.kinds, severities=webhook.severities
-            )
-        if not events:
-            self._looked_through(webhook, newest)
+            chosen = {"fleets": webhook.fleets, "kinds": webhook.kinds, "severities": webhook.severities}
+            events = unit.alerts.feed(webhook.position, 1, **chosen)
+        if not events:  # up to here there is nothing for it, which the database keeps where that is far
+            self._looked[webhook.webhook_id] = (webhook.revision, webhook.position, newest)
+            if newest - webhook.position >= PASSED_AT_ONCE:
+                with self.storage.write() as unit:
+                    unit.webhooks.passed(webhook, newest)
             return None
         if waiting is None or waiting.sequence != events[0].sequence:
             waiting = begun(webhook, events[0], event_id(webhook.bound, branches, events[0]), now_ns)
         return _Next(webhook, waiting, events[0], branches, secrets)
 
-    def _looked_through(self, webhook: Webhook, newest: int) -> None:
-        """Remember that up to here there is nothing for a webhook; in the database where that is far."""
-        self._looked[webhook.webhook_id] = (webhook.revision, webhook.position, newest)
-        if newest - webhook.position >= PASSED_AT_ONCE:
-            with self.storage.write() as unit:
-                unit.webhooks.passed(webhook, newest)
-
-    async def _send(self, found: _Next) -> Outcome:
+    async def _send(self, due: _Next) -> Outcome:
         """Return what came back; what fails here is a failure of the attempt, and is tried again as any other."""
         try:
-            identity = found.delivery.event_id
-            body = cloud_event(found.branches, identity, found.event)
-            headers = signed_headers(found.secrets, identity, self.clock.now_ns(), body)
-            return await self.sender.send(found.webhook.url, headers, body)
+            identity = due.delivery.event_id
+            body = cloud_event(due.branches, identity, due.event)
+            headers = signed_headers(due.secrets, identity, self.clock.now_ns(), body)
+            return await self.sender.send(due.webhook.url, headers, body)
         except Exception:  # noqa: BLE001 - one webhook must not end the others
-            _log.exception("webhook %d: an event could not be sent", found.webhook.webhook_id)
+            _log.exception("webhook %d: an event could not be sent", due.webhook.webhook_id)
             return Outcome(None, Failure.NOT_SENT, "the service could not send it; the log says why", None, 0.0)
 
-    def _store(self, found: _Next, outcome: Outcome) -> bool:
+    def _store(self, due: _Next, outcome: Outcome) -> bool:
         """Store what came back; return whether more may be sent at once."""
-        webhook, now_ns = found.webhook, self.clock.now_ns()
-        verdict = after_attempt(found.delivery, outcome, self.schedule, now_ns, self.chance())
+        webhook, now_ns = due.webhook, self.clock.now_ns()
+        verdict = after_attempt(due.delivery, outcome, self.schedule, now_ns, self.chance())
         with self.storage.write() as unit:
             counted = unit.webhooks.attempted(webhook, verdict.delivery, verdict.disabled)
         if counted:

@@ -93,8 +93,8 @@ def check(url: httpx.URL, addresses: Sequence[Address], networks: Sequence[Netwo
     """Refuse a URL one of whose addresses is not public and of no network that is allowed."""
     if not addresses:
         raise RefusedTargetError(Failure.UNKNOWN_HOST, "the host has no address")
-    allowed = [any(_plain(one) in network for network in networks) for one in addresses]
-    if not all(known or is_public(one) for known, one in zip(allowed, addresses, strict=True)):
+    allowed = [any(_plain(address) in network for network in networks) for address in addresses]
+    if not all(is_allowed or is_public(address) for is_allowed, address in zip(allowed, addresses, strict=True)):
         text = f"the host has an address that is not public, in none of the networks of {SETTING}"
         raise RefusedTargetError(Failure.REFUSED_ADDRESS, text)
     if url.scheme == "http" and not all(allowed):
@@ -111,9 +111,9 @@ def is_public(address: Address) -> bool:
 
 def networks_of(setting: str | None) -> tuple[Network, ...]:
     """Return the private networks that a deployment allows."""
-    parts = [part for one in (setting or "").split(",") if (part := one.strip())]
+    parts = [part.strip() for part in (setting or "").split(",")]
     try:
-        return tuple(ipaddress.ip_network(part) for part in parts)
+        return tuple(ipaddress.ip_network(part) for part in parts if part)
     except ValueError as error:
         raise ParameterError(f"{error}; write networks such as 10.1.0.0/16", field=SETTING) from None
 
@@ -131,16 +131,16 @@ class Targets:
         port = _port(url)
         loop = asyncio.get_running_loop()
         try:
-            found = await loop.run_in_executor(self._threads, _look_up, url.raw_host.decode("ascii"), port)
+            addresses = await loop.run_in_executor(self._threads, _look_up, url.raw_host.decode("ascii"), port)
         except (OSError, UnicodeError):
             raise RefusedTargetError(Failure.UNKNOWN_HOST, "the host has no address") from None
-        check(url, found, self.networks)
-        return Target(url, tuple(found))
+        check(url, addresses, self.networks)
+        return Target(url, tuple(addresses))
 
 
 def _look_up(host: str, port: int) -> list[Address]:
-    found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    return list(dict.fromkeys(ipaddress.ip_address(str(entry[4][0]).partition("%")[0]) for entry in found))
+    entries = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    return list(dict.fromkeys(ipaddress.ip_address(str(entry[4][0]).partition("%")[0]) for entry in entries))
 
 
 def _port(url: httpx.URL) -> int:

@@ -54,8 +54,6 @@ OCTETS = {"Content-Type": "application/octet-stream"}
 
 @dataclass(frozen=True, slots=True)
 class _Chunk:
-    """A chunk to be sent."""
-
     path: Path
     vehicle: str
     digest: str
@@ -67,8 +65,6 @@ class _Chunk:
 
 @dataclass
 class _Answers:
-    """What the senders were answered."""
-
     stored: list[_Chunk] = field(default_factory=list)
     refused: list[_Chunk] = field(default_factory=list)
     others: Counter[int] = field(default_factory=Counter)

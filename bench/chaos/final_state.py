@@ -8,10 +8,9 @@ from collections.abc import Iterator, Mapping
 
 from sqlalchemy import text
 
-from bench.counting import run
+from bench.counting import run_all
 from estimation.alerts.rules.running_gear import HuntingRule
 from estimation.alerts.rules.sensor_data import SensorFaultRule
-from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import JobContext
 from estimation.values.alerts import Alert
 from fleet_db.packed_values import pack_geometry, pack_value
@@ -92,8 +91,7 @@ def come_to_rest(storage: SqlStorage, context: JobContext) -> tuple[Counter[str]
     counts = Counter[str]()
     for _ in range(MOST_RUNS):
         before = final_state(storage)
-        for job in ALL_JOBS:
-            counts.update(run(job, context).counts)
+        counts += run_all(context)
         if final_state(storage) == before:
             return counts, True
     return counts, False

@@ -12,10 +12,9 @@ from api.comparison.trial import copied, deploy, opened, receive, record
 from api.settings import Settings
 from bench.chaos.final_state import come_to_rest, compared_state
 from bench.chaos.run import ChaosSettings
-from bench.counting import run
+from bench.counting import run_all
 from bench.report import BenchRow
 from bench.small_fleets import small_fleet
-from estimation.jobs.catalogue import ALL_JOBS
 from estimation.values.windows import Window
 
 AXLES = (2.0, 4.5, 16.5)
@@ -68,7 +67,7 @@ def _play(case: _Case, folder: Path, pieces: Sequence[Sequence[tuple[Window, flo
             with storage.write() as unit:
                 for window, mileage_km in piece:
                     unit.windows.put(window, mileage_km, context.clock.now_ns())
-            epochs += sum(run(job, context).counts.get("epochs", 0) for job in ALL_JOBS)
+            epochs += run_all(context)["epochs"]
         counts, rest = come_to_rest(storage, context)
         return _Played(compared_state(storage), epochs + counts["epochs"], rest)
 

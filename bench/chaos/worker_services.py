@@ -94,7 +94,6 @@ class CuttableLink:
             one.close()
 
     def _of(self, cut: Mapping[int, Cut]) -> list[_Connection]:
-        """Return the connections of processes."""
         ports = {port for pid in cut for port in _ports_of(pid)}
         return [one for one in self._connections if _peer(one.client) in ports]
 
@@ -145,7 +144,6 @@ def _peer(end: socket.socket) -> int | None:
 
 
 def _ports_of(pid: int) -> set[int]:
-    """Return the local TCP ports of a process."""
     inodes = set()
     with suppress(OSError):  # it is gone
         for file in Path(f"/proc/{pid}/fd").iterdir():

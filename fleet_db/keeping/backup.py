@@ -62,12 +62,6 @@ class Manifest:
         return folder / f"database-{self.name}.sqlite3"
 
 
-def backup_name(now_ns: int) -> str:
-    """Return the name of a backup of this time, in the order of time."""
-    seconds, rest = divmod(now_ns, 1_000_000_000)
-    return f"{datetime.fromtimestamp(seconds, UTC):%Y%m%dT%H%M%S}.{rest // 1_000_000:03d}Z"
-
-
 def write_manifest(folder: Path, manifest: Manifest) -> None:
     """Write the manifest of a backup that is whole."""
     content = json.dumps({"format": FORMAT, **asdict(manifest)}, indent=1).encode()
@@ -85,12 +79,12 @@ def read_manifest(folder: Path, name: str | None = None) -> Manifest:
     path = folder / f"{PREFIX}{chosen}{SUFFIX}"
     try:
         fields = json.loads(path.read_bytes())
-        found = fields.pop("format")
+        written_as = fields.pop("format")
         manifest = Manifest(**{**fields, "missing": tuple(fields["missing"])})
     except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise InputError("is no manifest of a backup", file=path) from error
-    if found != FORMAT:
-        raise InputError(f"has format {found!r}; this version reads {FORMAT!r}", file=path)
+    if written_as != FORMAT:
+        raise InputError(f"has format {written_as!r}; this version reads {FORMAT!r}", file=path)
     return manifest
 
 
@@ -118,19 +112,16 @@ def copy_rows(source: Connection, target: Connection) -> dict[str, int]:
 
 def _copy_table(source: Connection, target: Connection, table: Table) -> int:
     """Copy one table; references of its rows to each other are filled in when all rows are there."""
-    own = [column.name for column in table.columns if any(key.column.table is table for key in column.foreign_keys)]
+    inner = [column.name for column in table.columns if any(key.column.table is table for key in column.foreign_keys)]
     statement = select(table).order_by(*table.primary_key)
-    found = source.execution_options(stream_results=True, yield_per=BATCH).execute(statement)
+    read = source.execution_options(stream_results=True, yield_per=BATCH).execute(statement)
     count = 0
     later: list[dict[str, Any]] = []
-    for rows in found.mappings().partitions():
+    for rows in read.mappings().partitions():
         count += len(rows)
-        later += [
-            key_of(table, dict(row)) | {name: row[name] for name in own}
-            for row in rows
-            if any(row[name] is not None for name in own)
-        ]
-        target.execute(insert(table), [{**row, **dict.fromkeys(own)} for row in rows])
+        referring = [row for row in rows if any(row[name] is not None for name in inner)]
+        later += [key_of(table, dict(row)) | {name: row[name] for name in inner} for row in referring]
+        target.execute(insert(table), [{**row, **dict.fromkeys(inner)} for row in rows])
     if later:
         target.execute(update(table).where(key_given(table)), later)
     return count
@@ -145,9 +136,8 @@ def _continue_numbers(target: Connection, table: Table) -> None:
     sequence = target.scalar(text("SELECT pg_get_serial_sequence(:name, :key)"), {"name": name, "key": key})
     largest = target.scalar(select(func.max(keys[0])))
     if sequence is not None and largest is not None:
-        target.execute(
-            text("SELECT setval(CAST(:sequence AS regclass), :last)"), {"sequence": sequence, "last": largest}
-        )
+        last = {"sequence": sequence, "last": largest}
+        target.execute(text("SELECT setval(CAST(:sequence AS regclass), :last)"), last)
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +165,8 @@ def back_up(
         MigrationError: The database is not at the migration of this version.
     """
     check_head(storage.engine)
-    name = backup_name(now_ns)
+    seconds, rest = divmod(now_ns, 1_000_000_000)
+    name = f"{datetime.fromtimestamp(seconds, UTC):%Y%m%dT%H%M%S}.{rest // 1_000_000:03d}Z"  # in the order of time
     with keeping_alone(storage.engine):
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -195,7 +186,7 @@ def back_up(
         if not copied:
             progress(0, len(recordings))
             wrong += not_listed(recordings, raw)
-            listed = "".join(f"{one.digest}  {recording_name(one.digest, one.suffix)}\n" for one in recordings)
+            listed = "".join(f"{file.digest}  {recording_name(file.digest, file.suffix)}\n" for file in recordings)
             # as `sha256sum --check` reads it
             write_atomically(folder / f"recordings-{name}.sha256", listed.encode(), durable=True)
         to_copy: list[Kept] = [*(recordings if copied else ()), *files]
@@ -209,7 +200,7 @@ def back_up(
             rows=rows,
             raw_files=len(recordings),
             window_files=len(files),
-            file_bytes=sum(one.size for one in to_copy),
+            file_bytes=sum(file.size for file in to_copy),
             windows_kept=plan.windows,
             missing=lines_of(wrong, here),
             recordings_kept=copied,

@@ -22,10 +22,10 @@ from fleet_db.keeping.kept_files import (
     orphaned_samples,
 )
 from fleet_db.raw import RawStore, check_raw_store
-from fleet_db.records import ChunkState
+from fleet_db.records import ChunkState, RawScrub
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.stores.chunks import RawFile, RawScrub
+from fleet_db.stores.chunks import RawFile
 from fleet_db.tables.alerts import AlertEventRow, AlertRow
 from fleet_db.tables.track import TrackAlignmentRow, WindowPositionRow
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
@@ -62,7 +62,7 @@ class DeepCheck:
 def check_deep(storage: SqlStorage, raw: RawStore, progress: Callable[[int, int], None]) -> DeepCheck:
     """Read everything that is stored and compare it; changes nothing, and services may run."""
     with storage.read() as unit:
-        findings = [*_database(unit.connection), *_rows(unit.connection), *_bins(unit)]
+        findings = [*_database(unit.connection), *_rows(unit)]
         packed, rows = _packed(unit)
         recordings, files = list(kept_recordings(unit.connection)), list(kept_files(unit.connection))
     findings += packed
@@ -78,12 +78,9 @@ def check_deep(storage: SqlStorage, raw: RawStore, progress: Callable[[int, int]
     if gone:  # a window that was replaced meanwhile has another file now, and a recording may be purged
         with storage.read() as unit:
             still = {*kept_recordings(unit.connection), *kept_files(unit.connection)}
-        findings += [finding for one, finding in gone if one in still]
-    left = [
-        *(str(path) for path in orphaned_samples(storage)),
-        *(one.place for one in orphaned_recordings(storage, raw)),
-    ]
-    findings += [Finding("orphan", place, "no row refers to it", harmless=True) for place in left]
+        findings += [finding for kept, finding in gone if kept in still]
+    orphans = [*map(str, orphaned_samples(storage)), *(file.place for file in orphaned_recordings(storage, raw))]
+    findings += [Finding("orphan", place, "no row refers to it", harmless=True) for place in orphans]
     return DeepCheck(len(to_check), rows, tuple(findings))
 
 
@@ -97,7 +94,8 @@ def _database(connection: Connection) -> Iterator[Finding]:
         yield Finding("database", f"{row[0]} row {row[1]}", f"refers to a row of {row[2]} that is not there")
 
 
-def _rows(connection: Connection) -> Iterator[Finding]:
+def _rows(unit: SqlUnitOfWork) -> Iterator[Finding]:
+    connection = unit.connection
     other = select(TABLES.c.wheelset, TABLES.c.start_ns).join(WINDOWS, OF_TABLE)
     for row in connection.execute(other.where(TABLES.c.window_digest != WINDOWS.c.content_digest)):
         yield Finding("rows", f"bin table {row.wheelset}@{row.start_ns}", "is of other samples than its window has")
@@ -108,31 +106,22 @@ def _rows(connection: Connection) -> Iterator[Finding]:
     )
     for row in connection.execute(without):
         yield Finding("rows", f"window {row.wheelset}@{row.start_ns}", "counts as estimated without a bin table")
-    yield from _alerts(connection)
-
-
-def _bins(unit: SqlUnitOfWork) -> Iterator[Finding]:
-    """Yield wheelsets whose bins are of another geometry than the current one."""
+    last = select(func.max(EVENTS.c.sequence)).group_by(EVENTS.c.alert_id)
+    alerts = select(ALERTS.c.alert_id, ALERTS.c.version, EVENTS.c.alert).outerjoin(
+        EVENTS, and_(EVENTS.c.alert_id == ALERTS.c.alert_id, EVENTS.c.sequence.in_(last))
+    )
+    for alert_id, version, alert in connection.execute(alerts):
+        if alert is None or alert["version"] > version:
+            yield Finding("rows", f"alert {alert_id}", "does not belong to its last event")
     for wheelset in unit.registry.wheelsets():
         if not unit.geometries.bins_are_current(wheelset.serial):
             yield Finding("rows", f"bins of wheelset {wheelset.serial}", "are not of its current geometry")
 
 
-def _alerts(connection: Connection) -> Iterator[Finding]:
-    """Yield alerts without an event, or with one of a version that is still to come."""
-    last = select(func.max(EVENTS.c.sequence)).group_by(EVENTS.c.alert_id)
-    found = select(ALERTS.c.alert_id, ALERTS.c.version, EVENTS.c.alert).outerjoin(
-        EVENTS, and_(EVENTS.c.alert_id == ALERTS.c.alert_id, EVENTS.c.sequence.in_(last))
-    )
-    for row in connection.execute(found):
-        if row.alert is None or row.alert["version"] > row.version:
-            yield Finding("rows", f"alert {row.alert_id}", "does not belong to its last event")
-
-
 def _packed(unit: SqlUnitOfWork) -> tuple[list[Finding], int]:
     findings: list[Finding] = []
     count = 0
-    for subject, read in (*_of_wheelsets(unit), *_of_sections(unit)):
+    for subject, read in _readers(unit):
         try:
             value = read()
             count += sum(1 for _ in value) if isinstance(value, Iterable) else int(value is not None)
@@ -141,7 +130,8 @@ def _packed(unit: SqlUnitOfWork) -> tuple[list[Finding], int]:
     return findings, count
 
 
-def _of_wheelsets(unit: SqlUnitOfWork) -> Iterator[tuple[str, Callable[[], object]]]:
+def _readers(unit: SqlUnitOfWork) -> Iterator[tuple[str, Callable[[], object]]]:
+    """Yield what holds packed values, of wheelsets and of sections, and what reads them."""
     for wheelset in unit.registry.wheelsets():
         serial = wheelset.serial
         yield f"bin tables of {serial}", partial(unit.tables.stream, serial, 0, None)
@@ -149,9 +139,6 @@ def _of_wheelsets(unit: SqlUnitOfWork) -> Iterator[tuple[str, Callable[[], objec
         yield f"geometry of {serial}", partial(unit.geometries.current, serial)
         yield f"trend of {serial}", partial(unit.trends.latest, serial)
         yield f"measured profiles of {serial}", partial(unit.registry.measured_profiles, serial)
-
-
-def _of_sections(unit: SqlUnitOfWork) -> Iterator[tuple[str, Callable[[], object]]]:
     for section, version in unit.connection.execute(select(ALIGNMENTS.c.section, ALIGNMENTS.c.version)):
         yield f"alignment {version} of {section}", partial(unit.tracks.alignment, section, version)
     for record in unit.tracks.sections():
@@ -197,8 +184,8 @@ def scrub(
         last = unit.raw_scrubs.last()
         going = last is not None and last.finished_ns is None and plan.resume
         now = last if last is not None and going else unit.raw_scrubs.begin(now_ns())
-        left = unit.raw_scrubs.count_after(now.after_digest)
-    total, began_s, read = now.files + left, time.monotonic(), 0
+        total = now.files + unit.raw_scrubs.count_after(now.after_digest)
+    began_s, read = time.monotonic(), 0
     while True:
         with storage.read() as unit:
             files = unit.raw_scrubs.files_after(now.after_digest, FILES_AT_ONCE)

@@ -50,9 +50,9 @@ class KeptFile:
         """Return what is wrong with it, None where nothing is; raises StorageError where it cannot be read now."""
         file = place.folder / self.path
         try:
-            found = file.stat().st_size
-            if found != self.size:
-                return f"has {found} bytes, not {self.size}"
+            size_bytes = file.stat().st_size
+            if size_bytes != self.size:
+                return f"has {size_bytes} bytes, not {self.size}"
             whole = window_digest(unpack_window(file.read_bytes(), where=str(file))) == self.digest
         except FileNotFoundError:
             return "is missing"
@@ -124,16 +124,16 @@ Progress = Callable[[int, int], None]
 def copy_all(kept: Sequence[Kept], source: Holdings, target: Holdings, progress: Progress) -> list[tuple[Kept, str]]:
     """Copy files and recordings; return those that are missing or damaged, each with what is wrong."""
     wrong: list[tuple[Kept, str]] = []
-    for done, one in enumerate(kept, start=1):
-        fault = one.copy(source, target)
-        wrong += [] if fault is None else [(one, fault)]
+    for done, file in enumerate(kept, start=1):
+        fault = file.copy(source, target)
+        wrong += [] if fault is None else [(file, fault)]
         progress(done, len(kept))
     return wrong
 
 
 def lines_of(wrong: Sequence[tuple[Kept, str]], place: Holdings) -> tuple[str, ...]:
     """Return a line for each that is missing or damaged."""
-    return tuple(f"{one.at(place)} {fault} ({one.owner})" for one, fault in wrong)
+    return tuple(f"{file.at(place)} {fault} ({file.owner})" for file, fault in wrong)
 
 
 def kept_files(connection: Connection) -> Iterator[KeptFile]:
@@ -141,9 +141,9 @@ def kept_files(connection: Connection) -> Iterator[KeptFile]:
     samples = WindowFiles(Path(SAMPLES))
     columns = (WINDOWS.c.content_digest, WINDOWS.c.sample_bytes, WINDOWS.c.wheelset, WINDOWS.c.start_ns)
     of_samples = select(*columns).where(WINDOWS.c.samples_purged_ns.is_(None)).order_by(WINDOWS.c.content_digest)
-    found = connection.execution_options(yield_per=2000).execute(of_samples)
+    rows = connection.execution_options(yield_per=2000).execute(of_samples)
     last = ""
-    for row in found:
+    for row in rows:
         if row.content_digest != last:
             owner = f"window {row.wheelset}@{row.start_ns}"
             yield KeptFile(row.content_digest, row.sample_bytes, samples.path(row.content_digest), owner)
@@ -163,11 +163,11 @@ def not_listed(recordings: Sequence[KeptRecording], raw: RawStore) -> list[tuple
     sizes = {item.digest: item.size_bytes for item in raw.listed() if item.digest}
     wrong: list[tuple[Kept, str]] = []
     for kept in recordings:
-        found = sizes.get(kept.digest)
-        if found is None:
+        size_bytes = sizes.get(kept.digest)
+        if size_bytes is None:
             wrong.append((kept, "is missing"))
-        elif found != kept.size:
-            wrong.append((kept, f"has {found} bytes, not {kept.size}"))
+        elif size_bytes != kept.size:
+            wrong.append((kept, f"has {size_bytes} bytes, not {kept.size}"))
     return wrong
 
 
@@ -179,17 +179,17 @@ def orphaned_samples(storage: SqlStorage, least_age_s: float = LEAST_AGE_S) -> l
     files = sorted(_old_files(storage.data_dir, least_age_s))  # before the rows: these only grow more
     kept = select(WINDOWS.c.content_digest).where(WINDOWS.c.samples_purged_ns.is_(None)).distinct()
     with storage.read() as unit:
-        known = frozenset(unit.connection.scalars(kept))
-    return [path for path in files if path.name.partition(".")[0] not in known]
+        referred_to = frozenset(unit.connection.scalars(kept))
+    return [path for path in files if path.name.partition(".")[0] not in referred_to]
 
 
 def orphaned_recordings(storage: SqlStorage, raw: RawStore, least_age_s: float = LEAST_AGE_S) -> list[RawItem]:
     """Return what is in the store of raw recordings and no row refers to."""
     before_s = time.time() - least_age_s
-    items = sorted((one for one in raw.listed() if one.changed_s <= before_s), key=lambda one: one.place)
+    items = sorted((item for item in raw.listed() if item.changed_s <= before_s), key=lambda item: item.place)
     with storage.read() as unit:
-        known = frozenset(unit.connection.scalars(select(CHUNKS.c.digest).where(CHUNKS.c.purged_ns.is_(None))))
-    return [one for one in items if one.digest not in known]
+        referred_to = frozenset(unit.connection.scalars(select(CHUNKS.c.digest).where(CHUNKS.c.purged_ns.is_(None))))
+    return [item for item in items if item.digest not in referred_to]
 
 
 def _old_files(data_dir: Path, least_age_s: float) -> Iterator[Path]:

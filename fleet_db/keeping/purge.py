@@ -21,8 +21,8 @@ from fleet_db.keeping.kept_files import LEAST_AGE_S, SAMPLES, orphaned_recording
 from fleet_db.keeping.retention import Kept, Retention
 from fleet_db.locks import keeping_alone
 from fleet_db.raw import RawStore
-from fleet_db.records import ChunkRecord, DeliveryState
-from fleet_db.rows import replace_all, table_of
+from fleet_db.records import DeliveryState
+from fleet_db.rows import batches, equal, replace_all, table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.tables.alerts import WebhookDeliveryRow
 from fleet_db.tables.operation import AuditRow, IdempotencyRow, JobRunRow, ResultRow
@@ -60,8 +60,7 @@ def expired_tables(connection: Connection, before_ns: int, number: int | None = 
     tables = select(func.count()).select_from(TABLES).where(OF_ROLL_UP).scalar_subquery()
     statement = select(ROLL_UPS.c.number).where(~ROLL_UPS.c.sealed, ROLL_UPS.c.last_ns < before_ns, over, made)
     statement = statement.where(~due, ~with_samples, tables == ROLL_UPS.c.windows)
-    if number is not None:
-        statement = statement.where(ROLL_UPS.c.number == number)
+    statement = statement.where(*equal(ROLL_UPS, number=number))
     return list(connection.scalars(statement.order_by(ROLL_UPS.c.number)))
 
 
@@ -72,11 +71,11 @@ def seal(connection: Connection, roll_up: int, now_ns: int) -> int:
     """
     this = ROLL_UPS.c.number == roll_up
     row = connection.execute(select(ROLL_UPS.c.wheelset, ROLL_UPS.c.first_ns, ROLL_UPS.c.last_ns).where(this)).one()
-    own = exists().where(this, OF_ROLL_UP)
+    is_summed = exists().where(this, OF_ROLL_UP)
     of_it = (WINDOWS.c.wheelset == row.wheelset, exists().where(OF_TABLE, this, OF_ROLL_UP))
     connection.execute(update(ROLL_UPS).where(this).values(sealed=True))
     connection.execute(update(WINDOWS).where(*of_it).values(table_purged_ns=now_ns))
-    count = int(connection.execute(delete(TABLES).where(TABLES.c.wheelset == row.wheelset, own)).rowcount)
+    count = int(connection.execute(delete(TABLES).where(TABLES.c.wheelset == row.wheelset, is_summed)).rowcount)
     _forget_places(connection, row.wheelset, row.first_ns, row.last_ns)
     return count
 
@@ -132,16 +131,8 @@ ENTRIES, DELIVERIES = table_of(AuditRow), table_of(WebhookDeliveryRow)
 RESULTS, REPORTS = table_of(ResultRow), table_of(TrackReportRow)
 BATCH = 1000  # rows a transaction: others wait for a fraction of a second
 
-BY_DATA = frozenset(
-    {
-        Kept.SUPERSEDED_ESTIMATES,
-        Kept.EVERY_ESTIMATE,
-        Kept.TRACK_REPORTS,
-        Kept.RECORDINGS,
-        Kept.WINDOW_SAMPLES,
-        Kept.WINDOW_BIN_TABLES,
-    }
-)
+BY_DATA = {Kept.SUPERSEDED_ESTIMATES, Kept.EVERY_ESTIMATE, Kept.TRACK_REPORTS}
+BY_DATA |= {Kept.RECORDINGS, Kept.WINDOW_SAMPLES, Kept.WINDOW_BIN_TABLES}
 """Kinds whose age ends a day after the newest data: a clock of ours that is ahead makes nothing old."""
 
 Checkpoint = Callable[[], None]
@@ -168,13 +159,13 @@ def purge(
     with keeping_alone(storage.engine):
         with storage.read() as unit:
             newest_ns = unit.chunks.newest_ns()
-        found = []
+        purged = []
         for kind in Kept:
             counted_ns = now_ns if newest_ns is None or kind not in BY_DATA else min(now_ns, newest_ns + DAY_NS)
             before_ns = retention.before_ns(kind, counted_ns)
             if before_ns is not None:
-                found.append(_Purge(storage, raw, kind, before_ns, now_ns, checkpoint).run())
-        return found
+                purged.append(_Purge(storage, raw, kind, before_ns, now_ns, checkpoint).run())
+        return purged
 
 
 def record_purge(connection: Connection, purged: Purged, before_ns: int, now_ns: int) -> None:
@@ -185,8 +176,8 @@ def record_purge(connection: Connection, purged: Purged, before_ns: int, now_ns:
 
 def purged_before(connection: Connection, kind: Kept) -> int | None:
     """Return the time before which a kind has been deleted; None where nothing has."""
-    found: int | None = connection.scalar(select(func.max(PURGES.c.before_ns)).where(PURGES.c.kind == kind.value))
-    return found
+    before_ns: int | None = connection.scalar(select(func.max(PURGES.c.before_ns)).where(PURGES.c.kind == kind.value))
+    return before_ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,9 +196,18 @@ class _Purge:
         if self.kind is Kept.ORPHANED_FILES:
             return self._orphans()
         if self.kind is Kept.RECORDINGS:
-            return self._batches(self._recordings, lambda one: one.size_bytes, self._remove_recording)
-        if self.kind is Kept.WINDOW_SAMPLES:
-            return self._batches(self._samples, lambda one: int(one.sample_bytes), self._remove_samples)
+            return self._batches(
+                lambda unit: unit.chunks.purge(self.before_ns, self.now_ns, BATCH),
+                lambda record: record.size_bytes,
+                lambda record: self.raw.remove(record.digest, record.suffix),
+            )
+        if self.kind is Kept.WINDOW_SAMPLES:  # a file that was used again meanwhile stays, and goes as an orphan
+            files = WindowFiles(self.storage.data_dir / SAMPLES)
+            return self._batches(
+                self._samples,
+                lambda window: int(window.sample_bytes),
+                lambda window: unlink_old(files.path(window.content_digest), LEAST_AGE_S),
+            )
         if self.kind is Kept.EVERY_ESTIMATE:
             return self._thin_estimates()
         if self.kind is Kept.WINDOW_BIN_TABLES:
@@ -216,10 +216,7 @@ class _Purge:
         return self._batches(partial(_delete, key, expired), lambda _: 0, lambda _: None)
 
     def _batches(
-        self,
-        take: Callable[[SqlUnitOfWork], Sequence[V]],
-        bytes_of: Callable[[V], int],
-        remove: Callable[[V], object],
+        self, take: Callable[[SqlUnitOfWork], Sequence[V]], bytes_of: Callable[[V], int], remove: Callable[[V], object]
     ) -> Purged:
         """Delete batches until one is not full: first the rows say so, then the bytes go."""
         items = size = 0
@@ -230,35 +227,23 @@ class _Purge:
                 part = Purged(self.kind, len(batch), sum(map(bytes_of, batch)))
                 if batch:
                     record_purge(unit.connection, part, self.before_ns, self.now_ns)
-            for one in batch:
-                remove(one)
+            for item in batch:
+                remove(item)
             items, size = items + part.items, size + part.item_bytes
             if len(batch) < BATCH:
                 return Purged(self.kind, items, size)
 
-    def _recordings(self, unit: SqlUnitOfWork) -> Sequence[ChunkRecord]:
-        return unit.chunks.purge(self.before_ns, self.now_ns, BATCH)
-
-    def _remove_recording(self, record: ChunkRecord) -> None:
-        self.raw.remove(record.digest, record.suffix)
-
     def _samples(self, unit: SqlUnitOfWork) -> Sequence[Row[Any, Any, Any, Any]]:
         windows = expired_samples(unit.connection, self.before_ns, BATCH)
-        gone = [
-            {"wheelset": one.wheelset, "start_ns": one.start_ns, "samples_purged_ns": self.now_ns} for one in windows
-        ]
-        replace_all(unit.connection, WINDOWS, gone)
+        keys = [{"wheelset": window.wheelset, "start_ns": window.start_ns} for window in windows]
+        replace_all(unit.connection, WINDOWS, [{**key, "samples_purged_ns": self.now_ns} for key in keys])
         return windows
-
-    def _remove_samples(self, window: Row[Any, Any, Any, Any]) -> None:
-        """Delete a file; one that was used again meanwhile stays, and goes as an orphan where no row refers to it."""
-        unlink_old(WindowFiles(self.storage.data_dir / SAMPLES).path(window.content_digest), LEAST_AGE_S)
 
     def _tables(self) -> Purged:
         items = 0
         with self.storage.read() as unit:
-            found = expired_tables(unit.connection, self.before_ns)
-        for number in found:
+            roll_ups = expired_tables(unit.connection, self.before_ns)
+        for number in roll_ups:
             self.checkpoint()
             with self.storage.write() as unit:
                 # something may have been added to it meanwhile
@@ -276,12 +261,12 @@ class _Purge:
         with self.storage.read() as unit:
             thinned_ns = purged_before(unit.connection, self.kind) or 0
             numbers = replaced_within_a_day(unit.connection, thinned_ns, before_ns)
-        batches = [numbers[first : first + BATCH] for first in range(0, len(numbers), BATCH)]
-        for place, batch in enumerate(batches, start=1):
+        parts = list(batches(numbers, BATCH))
+        for place, batch in enumerate(parts, start=1):
             self.checkpoint()
             with self.storage.write() as unit:
                 count = unit.connection.execute(delete(RESULTS).where(RESULTS.c.result_id.in_(batch))).rowcount
-                done_ns = before_ns if place == len(batches) else thinned_ns
+                done_ns = before_ns if place == len(parts) else thinned_ns
                 record_purge(unit.connection, Purged(self.kind, count), done_ns, self.now_ns)
             items += count
         return Purged(self.kind, items)
@@ -291,9 +276,9 @@ class _Purge:
         age_s = max((self.now_ns - self.before_ns) / DAY_NS * 86_400.0, LEAST_AGE_S)
         with self.storage.read() as unit:
             gone = unit.chunks.purged()  # others that no row refers to may be those of a newer database
-        found = orphaned_recordings(self.storage, self.raw, age_s)
+        recordings = orphaned_recordings(self.storage, self.raw, age_s)
         sizes = [unlink_old(self.storage.data_dir / path, age_s) for path in orphaned_samples(self.storage, age_s)]
-        sizes += [self.raw.remove_old(one, age_s) for one in found if not one.digest or one.digest in gone]
+        sizes += [self.raw.remove_old(file, age_s) for file in recordings if not file.digest or file.digest in gone]
         deleted = [size for size in sizes if size is not None]
         purged = Purged(self.kind, len(deleted), sum(deleted))
         if deleted:
@@ -336,8 +321,8 @@ def replaced_within_a_day(connection: Connection, from_ns: int, before_ns: int) 
     """Return the numbers of results that another of the same part followed on the same day, UTC."""
     end_of_day = RESULTS.c.recorded_ns - RESULTS.c.recorded_ns % DAY_NS + DAY_NS
     within = (RESULTS.c.recorded_ns >= from_ns, RESULTS.c.recorded_ns < before_ns)
-    found = select(RESULTS.c.result_id).where(*within, RESULTS.c.superseded_ns < end_of_day)
-    return list(connection.scalars(found.order_by(RESULTS.c.result_id)))
+    replaced = select(RESULTS.c.result_id).where(*within, RESULTS.c.superseded_ns < end_of_day)
+    return list(connection.scalars(replaced.order_by(RESULTS.c.result_id)))
 
 
 EVERY_S = 86_400.0
@@ -353,4 +338,4 @@ def _run(
     retention: Retention, raw: RawStore, storage_of: Callable[[JobContext], SqlStorage], context: JobContext
 ) -> Mapping[str, int]:
     done = purge(storage_of(context), raw, retention, context.clock.now_ns(), partial(context.checkpoint, 0, 0))
-    return {one.kind.value: one.items for one in done}
+    return {purged.kind.value: purged.items for purged in done}

@@ -89,9 +89,8 @@ def _check(manifest: Manifest, folder: Path) -> None:
     if not database.is_file():
         raise InputError("the database of the backup is missing", file=database)
     if sha256_of(database) != manifest.database_sha256:
-        raise InputError(
-            "the database of the backup is damaged: it has another sha256 than its manifest", file=database
-        )
+        reason = "the database of the backup is damaged: it has another sha256 than its manifest"
+        raise InputError(reason, file=database)
     if manifest.migration not in known_revisions():
         raise InputError(str(refusal(manifest.migration)), file=database)
 
@@ -103,7 +102,7 @@ def _check_without_content(engine: Engine) -> None:
     with translate_errors(), engine.connect() as connection:
         check_upgradable(connection)
         there = set(inspect(connection).get_table_names()) & set(CONTENT)
-        tables = [Base.metadata.tables[one] for one in sorted(there)]
+        tables = [Base.metadata.tables[name] for name in sorted(there)]
         full = [table.name for table in tables if connection.scalar(select(exists().select_from(table)))]
     if full:
         reason = f"the database has content ({', '.join(full)}); restore into an empty one"
@@ -123,7 +122,7 @@ def _restored(engine: Engine, into: Installation, folder: Path, manifest: Manife
                 to_copy: list[Kept] = [*recordings[skipped:], *files]
                 here, saved = Holdings(into.data_dir, into.raw), Holdings(folder, FileRawStore(folder / RAW))
                 lost += copy_all(to_copy, saved, here, lambda done, total: progress(done + skipped, total + skipped))
-                stale = _stale(source, manifest, [one for one, _ in lost if isinstance(one, KeptFile)])
+                stale = _stale(source, manifest, [file for file, _ in lost if isinstance(file, KeptFile)])
                 rows = _store_rows(engine, into.url, source, database, stale)
         finally:
             reading.dispose()

@@ -74,10 +74,10 @@ def database_size(connection: Connection, exact_bytes: int = EXACT_BYTES) -> Dat
     """
     if connection.dialect.name == "postgresql":
         sizes = [row for row in connection.execute(_SIZES) if row[0] in Base.metadata.tables]
-        found = {
+        tables = {
             name: TableSize(int(rows), int(table), int(indexes), estimated=True) for name, rows, table, indexes in sizes
         }
-        return DatabaseSize(found, 0)
+        return DatabaseSize(tables, 0)
     pragmas = ("page_count", "page_size", "freelist_count")
     pages, size, free = (int(connection.scalar(text(f"PRAGMA {name}")) or 0) for name in pragmas)
     counted = _by_page(connection) if pages * size <= exact_bytes else None
@@ -93,14 +93,14 @@ def _by_page(connection: Connection) -> dict[str, TableSize] | None:
     except OperationalError:
         return None
     taken = {str(name): int(size) for name, size in rows}
-    found = {}
+    tables = {}
     for table in _existing(connection):
-        own = text("SELECT name FROM sqlite_master WHERE type = 'index' AND tbl_name = :table")
-        indexes = connection.scalars(own, {"table": table.name})
+        of_table = text("SELECT name FROM sqlite_master WHERE type = 'index' AND tbl_name = :table")
+        indexes = connection.scalars(of_table, {"table": table.name})
         index_bytes = sum(taken.get(str(index), 0) for index in indexes)
         count = int(connection.scalar(select(func.count()).select_from(table)) or 0)
-        found[table.name] = TableSize(count, taken.get(table.name, 0), index_bytes, estimated=False)
-    return found
+        tables[table.name] = TableSize(count, taken.get(table.name, 0), index_bytes, estimated=False)
+    return tables
 
 
 def _by_sample(connection: Connection, used_bytes: int, page_bytes: int) -> dict[str, TableSize]:
@@ -133,15 +133,15 @@ def _sampled(connection: Connection, table: Table) -> TableSize:
         return TableSize(0, 0, 0, estimated=True)
     columns = list(table.columns)
     lengths = [func.coalesce(func.length(cast(column, LargeBinary)), 0) for column in columns]
-    step, rows, at = max((last - first) // SAMPLED_ROWS, 1), last - first + 1, first
-    found: list[tuple[int, ...]] = []
-    while at <= last:
-        statement = select(number, *lengths).select_from(table).where(number >= at).order_by(number).limit(1)
+    step, rows, place = max((last - first) // SAMPLED_ROWS, 1), last - first + 1, first
+    sampled: list[tuple[int, ...]] = []
+    while place <= last:
+        statement = select(number, *lengths).select_from(table).where(number >= place).order_by(number).limit(1)
         here, *of_columns = connection.execute(statement).one()
-        found.append(tuple(of_columns))
-        at = max(at + step, here + 1)
-    sums = [sum(of_column) for of_column in zip(*found, strict=True)]
-    mean = {column.name: total / len(found) for column, total in zip(columns, sums, strict=True)}
+        sampled.append(tuple(of_columns))
+        place = max(place + step, here + 1)
+    sums = [sum(of_column) for of_column in zip(*sampled, strict=True)]
+    mean = {column.name: total / len(sampled) for column, total in zip(columns, sums, strict=True)}
     entry = sum(ENTRY_OVERHEAD + sum(mean[column.name] for column in columns) for columns in _indexes(table))
     return TableSize(rows, round(rows * (ROW_OVERHEAD + sum(mean.values()))), round(rows * entry), estimated=True)
 
@@ -235,8 +235,8 @@ def stored_bytes(
         samples = total_of(folder, LOOKED_AT_FILES)
     except OSError as error:
         raise StorageError(f"{folder}: cannot be read: {error.strerror}") from error
-    one = samples.size_bytes / samples.items if samples.items else 0.0
-    per_hour = one / running.window_hours if running.window_hours else 0.0
+    window_bytes = samples.size_bytes / samples.items if samples.items else 0.0
+    per_hour = window_bytes / running.window_hours if running.window_hours else 0.0
     kinds.append(_of_files("samples of windows", samples, Kept.WINDOW_SAMPLES, per_hour, year))
     kinds.append(_of_files("raw recordings", raw.total(LOOKED_AT_FILES), Kept.RECORDINGS, raw_hour, year))
     return StoredBytes(tuple(sorted(kinds, key=lambda kind: -kind.bytes)), running, size.free_bytes)
@@ -259,22 +259,22 @@ class _Year:
 def _of_tables(kind: str, sizes: Mapping[str, TableSize], year: _Year) -> StoredKind:
     listed = {name for names in TABLES.values() for name in names}
     names = [name for name in sizes if name not in listed] if kind == OTHER else TABLES[kind]
-    found = [sizes[name] for name in names if name in sizes]
-    item_bytes, index_bytes = sum(one.table_bytes for one in found), sum(one.index_bytes for one in found)
-    items = sum(one.rows for one in found)
+    tables = [sizes[name] for name in names if name in sizes]
+    item_bytes, index_bytes = sum(table.table_bytes for table in tables), sum(table.index_bytes for table in tables)
+    items = sum(table.rows for table in tables)
     hours = year.running.wheelset_hours
     per_hour = (item_bytes + index_bytes) / hours if hours and kind != OTHER else 0.0
     kept = KEPT_TABLES.get(kind)
     if kept is not None and hours:  # of what is there, for windows outlive their tables
         per_hour = (item_bytes + index_bytes) / items / year.running.window_hours if items else 0.0
     days = None if kept is None else getattr(year.retention, kept.value)
-    estimated = any(one.estimated for one in found)
+    estimated = any(table.estimated for table in tables)
     return StoredKind(kind, items, item_bytes, index_bytes, estimated, days, year.kept(per_hour, kept))
 
 
-def _of_files(kind: str, found: RawTotal, kept: Kept, per_hour: float, year: _Year) -> StoredKind:
+def _of_files(kind: str, files: RawTotal, kept: Kept, per_hour: float, year: _Year) -> StoredKind:
     days = getattr(year.retention, kept.value)
-    return StoredKind(kind, found.items, found.size_bytes, 0, found.estimated, days, year.kept(per_hour, kept))
+    return StoredKind(kind, files.items, files.size_bytes, 0, files.estimated, days, year.kept(per_hour, kept))
 
 
 def _running(connection: Connection, windows: int, hours_per_day: float | None) -> Running:
@@ -284,13 +284,13 @@ def _running(connection: Connection, windows: int, hours_per_day: float | None) 
     chosen = serials[:: max(len(serials) // LOOKED_AT_WHEELSETS, 1)]
     lengths, rates = [], []
     for serial in chosen:
-        own = WINDOWS.c.wheelset == serial
+        its_own = WINDOWS.c.wheelset == serial
         last = connection.execute(
-            select(WINDOWS.c.start_ns, WINDOWS.c.length_ns).where(own).order_by(WINDOWS.c.start_ns.desc()).limit(1)
+            select(WINDOWS.c.start_ns, WINDOWS.c.length_ns).where(its_own).order_by(WINDOWS.c.start_ns.desc()).limit(1)
         ).one()
-        first = connection.scalar(select(func.min(WINDOWS.c.start_ns)).where(own)) or 0
+        first = connection.scalar(select(func.min(WINDOWS.c.start_ns)).where(its_own)) or 0
         from_ns = max(first, last.start_ns - RATE_DAYS * DAY_NS)
-        count = connection.scalar(select(func.count()).where(own, WINDOWS.c.start_ns >= from_ns)) or 0
+        count = connection.scalar(select(func.count()).where(its_own, WINDOWS.c.start_ns >= from_ns)) or 0
         days = max((last.start_ns + last.length_ns - from_ns) / DAY_NS, 1.0)
         lengths.append(last.length_ns / HOUR_NS)
         rates.append(count * last.length_ns / HOUR_NS / days)
@@ -308,8 +308,8 @@ def _raw_bytes_per_hour(connection: Connection, running: Running) -> float:
         .order_by(CHUNKS.c.received_ns.desc())
         .limit(LOOKED_AT_RECORDINGS)
     )
-    found = connection.execute(newest).all()
-    hours = float(sum(row.length_ns for row in found)) / HOUR_NS
+    recordings = connection.execute(newest).all()
+    hours = float(sum(row.length_ns for row in recordings)) / HOUR_NS
     if not hours or not running.wheelsets:
         return 0.0
-    return float(sum(row.size_bytes for row in found)) / hours * running.vehicles / running.wheelsets
+    return float(sum(row.size_bytes for row in recordings)) / hours * running.vehicles / running.wheelsets

@@ -5,21 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, insert, or_, select, update
+from sqlalchemy import insert, or_, select, update
 
-from estimation.errors import ConflictError, NotFoundError
+from estimation.errors import ConflictError
 from fleet_db.records import ApiKey, AuditEntry
-from fleet_db.rows import columns_of, equal, given, insert_new, row_of, table_of, value_of_row
+from fleet_db.rows import columns_of, equal, given, insert_new, present, row_of, table_of, value_of_row
+from fleet_db.subjects import Store
 from fleet_db.tables.operation import ApiKeyRow, AuditRow, IdempotencyRow
 
 KEYS = table_of(ApiKeyRow)
 
 
-@dataclass(frozen=True, slots=True)
-class ApiKeyStore:
+class ApiKeyStore(Store):
     """The keys, in one transaction."""
-
-    connection: Connection
 
     def find(self, prefix: str) -> ApiKey | None:
         """Return the key with a prefix; None where there is none."""
@@ -28,10 +26,7 @@ class ApiKeyStore:
 
     def get(self, prefix: str) -> ApiKey:
         """Return the key with a prefix; raises NotFoundError."""
-        found = self.find(prefix)
-        if found is None:
-            raise NotFoundError("key", prefix)
-        return found
+        return present(self.find(prefix), "key", prefix)
 
     def page(self, after: str | None, limit: int | None) -> Sequence[ApiKey]:
         """Return at most ``limit`` keys with a prefix behind ``after``, by prefix; None for all."""
@@ -71,11 +66,8 @@ class AuditFilter:
     to_ns: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class AuditStore:
+class AuditStore(Store):
     """The audit log, in one transaction."""
-
-    connection: Connection
 
     def add(self, entries: Sequence[AuditEntry]) -> None:
         """Add entries, in their order."""
@@ -97,11 +89,8 @@ class AuditStore:
 ANSWERS = table_of(IdempotencyRow)
 
 
-@dataclass(frozen=True, slots=True)
-class IdempotencyStore:
+class IdempotencyStore(Store):
     """Answers to POSTs, in one transaction."""
-
-    connection: Connection
 
     def get(self, key: str) -> tuple[str, int, str] | None:
         """Return digest of the request, status code and body of the answer given under ``key``."""

@@ -9,14 +9,13 @@ from functools import cache
 from typing import Any, NamedTuple, TypedDict, Unpack
 
 from sqlalchemy import ColumnElement, Connection, Select, and_, insert, or_, select, update
-from sqlalchemy.dialects import postgresql, sqlite
 
-from estimation.errors import ConflictError, NotFoundError
+from estimation.errors import ConflictError
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
 from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import IDENTITY, UNREGISTERED_CHANGE
 from fleet_db.locks import Subject, serialise
-from fleet_db.rows import by_wheelset, table_of
+from fleet_db.rows import by_wheelset, equal, given, insert_of, present, table_of
 from fleet_db.session import to_json
 from fleet_db.subjects import ReadOnce, Subjects
 from fleet_db.tables.alerts import AlertEventRow, AlertRow
@@ -87,31 +86,26 @@ def _outlines() -> Select[Any]:
         MOUNTINGS.c.from_ns <= ALERTS.c.opened_ns,
         or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > ALERTS.c.opened_ns),
     )
-    *own, vehicle, axle = AlertOutline._fields
+    *names, vehicle, axle = AlertOutline._fields
     # a subquery each, not a join: a mounting that the caller may not see leaves the alert in the list
     place = (
         select(MOUNTINGS.c[name]).where(*at_opening).correlate(ALERTS).scalar_subquery() for name in (vehicle, axle)
     )
-    return select(*(ALERTS.c[name] for name in own), *place)
+    return select(*(ALERTS.c[name] for name in names), *place)
 
 
 def _page_of(
     statement: Select[Any], choice: AlertChoice, after_id: int | None, limit: int, *, newest_first: bool
 ) -> Select[Any]:
     number = ALERTS.c.alert_id
-    if choice.open_only:
-        statement = statement.where(_OPEN)
-    for name in ("fleet", "wheelset", "kind", "condition", "severity"):
-        wanted = getattr(choice, name)
-        if wanted is not None:
-            statement = statement.where(ALERTS.c[name] == str(wanted))
-    if choice.fleet_alert_id is not None:
-        statement = statement.where(ALERTS.c.fleet_alert_id == choice.fleet_alert_id)
-    if choice.scope is not None:
-        statement = statement.where(_OF_SCOPE[choice.scope])
-    if after_id is not None:
-        statement = statement.where(number < after_id if newest_first else number > after_id)
-    return statement.order_by(number.desc() if newest_first else number).limit(limit)
+    names = ("fleet", "wheelset", "kind", "condition", "severity", "fleet_alert_id")
+    chosen = [
+        *([_OPEN] if choice.open_only else []),
+        *equal(ALERTS, **{name: getattr(choice, name) for name in names}),
+        *given(choice.scope, _OF_SCOPE.__getitem__),
+        *given(after_id, number.__lt__ if newest_first else number.__gt__),
+    ]
+    return statement.where(*chosen).order_by(number.desc() if newest_first else number).limit(limit)
 
 
 def _feed_of(
@@ -124,8 +118,8 @@ def _feed_of(
     statement = statement.where(EVENTS.c.sequence > after_sequence, EVENTS.c.in_feed)
     for column, wanted in ((ALERTS.c.fleet, fleets), (ALERTS.c.kind, kinds)):
         if wanted:
-            of_them = select(ALERTS.c.alert_id).where(column.in_(sorted(wanted)))
-            statement = statement.where(EVENTS.c.alert_id.in_(of_them))
+            chosen = select(ALERTS.c.alert_id).where(column.in_(sorted(wanted)))
+            statement = statement.where(EVENTS.c.alert_id.in_(chosen))
     if severities:
         earlier = EVENTS.alias()
         has_had = select(earlier.c.sequence).where(
@@ -137,8 +131,8 @@ def _feed_of(
     return statement
 
 
-SEVERITIES = {one.value: one for one in Severity}
-CONDITIONS = {one.value: one for one in Condition}
+SEVERITIES = {severity.value: severity for severity in Severity}
+CONDITIONS = {condition.value: condition for condition in Condition}
 RESTARTING = (IDENTITY, UNREGISTERED_CHANGE)  # kinds of alerts of changes that geometries are not merged across
 
 
@@ -160,7 +154,7 @@ class AlertStore:
 
     def all_open(self, wheelset: str | None = None) -> Sequence[Alert]:
         """Return open alerts by number, of one wheelset or of all."""
-        return self._alerts(_OPEN, *([] if wheelset is None else [ALERTS.c.wheelset == wheelset]))
+        return self._alerts(_OPEN, *equal(ALERTS, wheelset=wheelset))
 
     def open_of(self, wheelsets: Collection[str], beside: str) -> Sequence[Alert]:
         """Return the open alerts of some wheelsets, by number.
@@ -169,9 +163,9 @@ class AlertStore:
             beside: Kind of alerts that :meth:`of_kind` is asked for next: they are read by the same statement.
         """
         read = self._alerts(or_(_OPEN, ALERTS.c.kind == beside), ALERTS.c.wheelset.in_(wheelsets))
-        of_kind = by_wheelset((one for one in read if one.kind == beside), lambda alert: alert)
+        of_kind = by_wheelset((alert for alert in read if alert.kind == beside), lambda alert: alert)
         self.once.remember(f"alerts {beside}", {serial: of_kind.get(serial) for serial in wheelsets})
-        return [one for one in read if one.closed_ns is None]
+        return [alert for alert in read if alert.closed_ns is None]
 
     def open_in_fleet(self, fleet: str) -> Sequence[Alert]:
         """Return the open alerts of a fleet and of its wheelsets, by number."""
@@ -191,10 +185,7 @@ class AlertStore:
 
     def get(self, alert_id: int) -> Alert:
         """Return one alert; raises NotFoundError."""
-        found = self._alerts(ALERTS.c.alert_id == alert_id)
-        if not found:
-            raise NotFoundError("alert", str(alert_id))
-        return found[0]
+        return present(next(iter(self._alerts(ALERTS.c.alert_id == alert_id)), None), "alert", alert_id)
 
     def of_wheelset(self, wheelset: str) -> Sequence[Alert]:
         """Return every alert that there has been of a wheelset, by number."""
@@ -211,8 +202,8 @@ class AlertStore:
         def read(some: Collection[str]) -> Mapping[str, Sequence[Alert]]:
             return by_wheelset(self._alerts(ALERTS.c.kind == kind, ALERTS.c.wheelset.in_(some)), lambda alert: alert)
 
-        found = self.once.of_wheelsets(f"alerts {kind}", wheelsets, read)
-        return sorted((alert for own in found.values() for alert in own), key=lambda alert: alert.alert_id)
+        by_serial = self.once.of_wheelsets(f"alerts {kind}", wheelsets, read)
+        return sorted((alert for alerts in by_serial.values() for alert in alerts), key=lambda alert: alert.alert_id)
 
     def outlines(
         self, choice: AlertChoice, after_id: int | None, limit: int, *, newest_first: bool = False
@@ -245,15 +236,13 @@ class AlertStore:
 
     def some_events(self, sequences: Sequence[int]) -> Mapping[int, AlertEvent]:
         """Return events by number; one that is not on file is left out."""
-        found = self._events(select(EVENTS).where(EVENTS.c.sequence.in_(sequences)))
-        return {event.sequence: event for event in found}
+        events = self._events(select(EVENTS).where(EVENTS.c.sequence.in_(sequences)))
+        return {event.sequence: event for event in events}
 
     def last_in_feed(self, up_to: int | None = None) -> AlertEvent | None:
         """Return the newest event of the feed, or the newest up to a number; None where there is none."""
-        statement = select(EVENTS).where(EVENTS.c.in_feed).order_by(EVENTS.c.sequence.desc()).limit(1)
-        if up_to is not None:
-            statement = statement.where(EVENTS.c.sequence <= up_to)
-        return next(iter(self._events(statement)), None)
+        listed = select(EVENTS).where(EVENTS.c.in_feed, *given(up_to, EVENTS.c.sequence.__le__))
+        return next(iter(self._events(listed.order_by(EVENTS.c.sequence.desc()).limit(1))), None)
 
     def event(self, sequence: int) -> AlertEvent | None:
         """Return the event of a number; None where there is none."""
@@ -284,25 +273,14 @@ class AlertStore:
         alert = replace(alert, evidence=json.loads(to_json(dict(alert.evidence))))
         saved = self._insert(alert) if alert.alert_id == 0 else self._update(alert, changed=bool(events))
         in_feed = bool(events) and self._in_feed(saved)
-        rows = [
-            {
-                "alert_id": saved.alert_id,
-                "kind": kind.value,
-                "alert": _fields(saved),
-                "recorded_ns": recorded_ns,
-                "actor": actor,
-                "note": note,
-                "in_feed": in_feed,
-            }
-            for kind in events
-        ]
-        for row in rows:
-            self.connection.execute(insert(EVENTS).values(**row))
+        row = {"alert_id": saved.alert_id, "alert": _fields(saved), "recorded_ns": recorded_ns, "actor": actor}
+        row |= {"note": note, "in_feed": in_feed}
+        for kind in events:
+            self.connection.execute(insert(EVENTS).values(**row, kind=kind.value))
         if saved.wheelset is not None:
             self.subjects.raised(SubjectKind.WHEELSET, saved.wheelset, Facet.ALERTS)
-        if events and saved.kind in RESTARTING and saved.wheelset is not None:
-            # its geometry and trend start again from the change
-            self.subjects.raised(SubjectKind.WHEELSET, saved.wheelset, Facet.RESTARTS)
+            if events and saved.kind in RESTARTING:  # its geometry and trend start again from the change
+                self.subjects.raised(SubjectKind.WHEELSET, saved.wheelset, Facet.RESTARTS)
         return saved
 
     def _in_feed(self, alert: Alert) -> bool:
@@ -315,20 +293,19 @@ class AlertStore:
     def _insert(self, alert: Alert) -> Alert:
         values = _fields(replace(alert, version=1))
         del values["alert_id"]
-        new = (postgresql if self.connection.dialect.name == "postgresql" else sqlite).insert(ALERTS).values(**values)
-        number = self.connection.scalar(new.on_conflict_do_nothing().returning(ALERTS.c.alert_id))
+        new = insert_of(self.connection.dialect.name, ALERTS).values(**values).on_conflict_do_nothing()
+        number = self.connection.scalar(new.returning(ALERTS.c.alert_id))
         if number is None:
             self._only_open(alert)
+            # the one in the way is closed by now: a repeat finds nothing in its way
+            raise ConflictError(f"another alert of kind {alert.kind} was open for {_subject(alert)}", kind="alert")
         return replace(alert, alert_id=number, version=1)
 
     def _update(self, alert: Alert, *, changed: bool) -> Alert:
         stored = self.get(alert.alert_id)
         if stored.version != alert.version:
-            raise ConflictError(
-                f"alert {alert.alert_id} is at version {stored.version}, not {alert.version}",
-                kind="alert",
-                key=str(alert.alert_id),
-            )
+            reason = f"alert {alert.alert_id} is at version {stored.version}, not {alert.version}"
+            raise ConflictError(reason, kind="alert", key=str(alert.alert_id))
         if stored == alert and not changed:
             return stored
         if stored.closed_ns is not None and alert.closed_ns is None:
@@ -349,11 +326,8 @@ class AlertStore:
         )
         other = self.connection.scalar(statement)
         if other is not None:
-            raise ConflictError(
-                f"alert {other} of kind {alert.kind} is already open for {_subject(alert)}",
-                kind="alert",
-                key=str(other),
-            )
+            reason = f"alert {other} of kind {alert.kind} is already open for {_subject(alert)}"
+            raise ConflictError(reason, kind="alert", key=str(other))
 
     def _alerts(self, *chosen: ColumnElement[bool]) -> Sequence[Alert]:
         if self.writing:

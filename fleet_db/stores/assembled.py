@@ -14,7 +14,7 @@ from fleet_db.due import OF_SAMPLES, raise_sections, windows_changed, windows_le
 from fleet_db.records import ChunkState
 from fleet_db.rows import equal, insert_all_new, replace_all, table_of, value_of_row
 from fleet_db.stores.window_rows import list_for_sums, pass_over, to_window_record, window_values
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import Store, Subjects
 from fleet_db.tables.recordings import ChunkRow, StaleSpanRow
 from fleet_db.tables.track import WindowPositionRow
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
@@ -68,9 +68,9 @@ class AssembledWindowStore:
     def in_span(self, vehicle: str, wheelsets: Collection[str], from_ns: int, to_ns: int) -> Sequence[StoredWindow]:
         """Return the windows that start in ``[from_ns, to_ns)`` of a vehicle, and of wheelsets wherever they ran."""
         within = (WINDOWS.c.start_ns >= from_ns, WINDOWS.c.start_ns < to_ns)
-        found = select(WINDOWS, HAS_TABLE.label("has_table")).where(*within)
-        elsewhere = found.where(WINDOWS.c.wheelset.in_(sorted(wheelsets)), WINDOWS.c.vehicle != vehicle)
-        each = union_all(found.where(WINDOWS.c.vehicle == vehicle), elsewhere)  # each by an index of its own
+        in_time = select(WINDOWS, HAS_TABLE.label("has_table")).where(*within)
+        elsewhere = in_time.where(WINDOWS.c.wheelset.in_(sorted(wheelsets)), WINDOWS.c.vehicle != vehicle)
+        both = union_all(in_time.where(WINDOWS.c.vehicle == vehicle), elsewhere)  # each by an index of its own
         return [
             StoredWindow(
                 to_window_record(row),
@@ -80,12 +80,12 @@ class AssembledWindowStore:
                 row.odometer_excess_m,
                 row.off_line_m,
             )
-            for row in self.connection.execute(each)
+            for row in self.connection.execute(both)
         ]
 
     def add(self, windows: Sequence[AssembledWindow], recorded_ns: int) -> bool:
         """Store windows that are not there yet; False: another transaction has stored one meanwhile, which stays."""
-        rows = [self._row(each, recorded_ns) for each in windows]
+        rows = [self._row(assembled, recorded_ns) for assembled in windows]
         count = insert_all_new(self.connection, WINDOWS, rows)
         self._changed(windows)
         return count == len(rows)
@@ -93,9 +93,9 @@ class AssembledWindowStore:
     def replace(self, windows: Sequence[AssembledWindow], recorded_ns: int) -> None:
         """Replace windows without bin tables by what they are now; they wait to be estimated."""
         not_purged = {"samples_purged_ns": None, "passed_over": None}
-        rows = [self._row(each, recorded_ns) | not_purged for each in windows]
+        rows = [self._row(assembled, recorded_ns) | not_purged for assembled in windows]
         if rows:
-            keys = [(each.window.wheelset, each.window.start_ns) for each in windows]
+            keys = [(assembled.window.wheelset, assembled.window.start_ns) for assembled in windows]
             self._touch(keys)
             replace_all(self.connection, WINDOWS, rows)
             self._changed(windows)
@@ -103,7 +103,8 @@ class AssembledWindowStore:
 
     def _changed(self, windows: Sequence[AssembledWindow]) -> None:
         """List windows that have these samples now; those on no section are no concern of an alignment."""
-        sections = _sections(windows)
+        stored = [assembled.window for assembled in windows]
+        sections = {(window.wheelset, window.start_ns): window.track_section for window in stored}
         windows_changed(self.connection, [key for key, section in sections.items() if section is None])
         on_section = [key for key, section in sections.items() if section is not None]
         windows_changed(self.connection, on_section, (*OF_SAMPLES, DueStage.ALIGNMENT))
@@ -118,16 +119,16 @@ class AssembledWindowStore:
             self.subjects.places(section)
             self.subjects.windows(wheelset, hunting_in)
 
-    def _row(self, each: AssembledWindow, recorded_ns: int) -> dict[str, object]:
-        hunts = each.window.quality.hunting.sustained
-        self.subjects.windows(each.window.wheelset, each.window.vehicle if hunts else None)
-        self.subjects.places(each.window.track_section)
-        return window_values(each.window, each.mileage_km) | {
-            "content_digest": each.digest,
-            "sample_bytes": self.files.save(each.window, each.digest),
+    def _row(self, assembled: AssembledWindow, recorded_ns: int) -> dict[str, object]:
+        window = assembled.window
+        self.subjects.windows(window.wheelset, window.vehicle if window.quality.hunting.sustained else None)
+        self.subjects.places(window.track_section)
+        return window_values(window, assembled.mileage_km) | {
+            "content_digest": assembled.digest,
+            "sample_bytes": self.files.save(window, assembled.digest),
             "recorded_ns": recorded_ns,
-            "odometer_excess_m": each.odometer_excess_m,
-            "off_line_m": each.off_line_m,
+            "odometer_excess_m": assembled.odometer_excess_m,
+            "off_line_m": assembled.off_line_m,
         }
 
     def is_as_stored(self, stored: StoredWindow, now: AssembledWindow) -> bool:
@@ -143,8 +144,8 @@ class AssembledWindowStore:
     def first_start(self, vehicle: str, from_ns: int, to_ns: int) -> int | None:
         """Return the start of the first window of a vehicle in ``[from_ns, to_ns)``; None where there is none."""
         within = (WINDOWS.c.vehicle == vehicle, WINDOWS.c.start_ns >= from_ns, WINDOWS.c.start_ns < to_ns)
-        found: int | None = self.connection.scalar(select(func.min(WINDOWS.c.start_ns)).where(*within))
-        return found
+        first: int | None = self.connection.scalar(select(func.min(WINDOWS.c.start_ns)).where(*within))
+        return first
 
     def extents(self, vehicle: str, from_ns: int, to_ns: int, limit: int) -> Sequence[tuple[int, int, int]]:
         """Return ``(first, last, frames)`` of at most ``limit`` decoded recordings in a span, by their first frame."""
@@ -198,10 +199,6 @@ class AssembledWindowStore:
         return True
 
 
-def _sections(windows: Sequence[AssembledWindow]) -> dict[WindowKey, str | None]:
-    return {(each.window.wheelset, each.window.start_ns): each.window.track_section for each in windows}
-
-
 SPANS = table_of(StaleSpanRow)
 
 EARLIEST_NS, LATEST_NS = -(1 << 62), 1 << 62
@@ -219,11 +216,8 @@ class StaleSpan:
     cause: str
 
 
-@dataclass(frozen=True, slots=True)
-class StaleSpanStore:
+class StaleSpanStore(Store):
     """Stale spans, in one transaction."""
-
-    connection: Connection
 
     def add(self, vehicle: str, from_ns: int | None, to_ns: int | None, cause: str) -> None:
         """Let the windows of a vehicle in ``[from_ns, to_ns)`` be assembled again; None is an open end.

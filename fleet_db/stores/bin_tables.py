@@ -7,21 +7,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sqlalchemy import (
-    BigInteger,
-    ColumnElement,
-    Connection,
-    FromClause,
-    Row,
-    String,
-    and_,
-    func,
-    literal,
-    or_,
-    select,
-    tuple_,
-    union_all,
-)
+from sqlalchemy import ColumnElement, Connection, FromClause, Row, and_, func, or_, select, tuple_
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.motion.parameters import MOTION
@@ -29,8 +15,8 @@ from estimation.values.geometry import BinTable, FilledCells, TableKey, WindowTa
 from estimation.values.roll_up import TabledWindow
 from estimation.values.windows import WindowKey, WindowRecord, WindowState
 from fleet_db.packed_values import pack_bin_table, unpack_bin_table, unpack_filled_cells
-from fleet_db.rows import by_wheelset, on_sections, put_rows, replace_all, table_of
-from fleet_db.stores.window_rows import keys_given, list_for_sums, to_window_record
+from fleet_db.rows import batches, by_wheelset, given, on_sections, put_rows, replace_all, table_of
+from fleet_db.stores.window_rows import keys_given, list_for_sums, spans_given, to_window_record
 from fleet_db.stores.windows import NOT_PASSED_OVER
 from fleet_db.subjects import ReadOnce, Subjects
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
@@ -76,8 +62,8 @@ class BinTableStore:
             NotFoundError: There is no such window.
             ConflictError: Its content is another.
         """
-        windows = self._checked([(one.key, one.window_digest) for one in tables])
-        rows = {one.key: _values(one) for one in tables if windows[one.key].table_purged_ns is None}
+        windows = self._checked([(tabled.key, tabled.window_digest) for tabled in tables])
+        rows = {tabled.key: _values(tabled) for tabled in tables if windows[tabled.key].table_purged_ns is None}
         changed = [
             key
             for key, row in sorted(rows.items())
@@ -93,7 +79,9 @@ class BinTableStore:
 
     def _checked(self, expected: Sequence[tuple[WindowKey, str]]) -> Mapping[WindowKey, Row[Any]]:
         """Return windows with their tables, once the contents of the windows are those expected."""
-        windows = self._by_key([key for key, _ in expected])
+        windows: dict[WindowKey, Row[Any]] = {}
+        for some in batches([key for key, _ in expected]):
+            windows |= {(row.wheelset, row.start_ns): row for row in self.connection.execute(STORED, {"keys": some})}
         for key, digest in expected:
             name = f"{key[0]}@{key[1]}"
             if key not in windows:
@@ -101,13 +89,6 @@ class BinTableStore:
             if windows[key].content_digest != digest:
                 raise ConflictError(f"window {name} was replaced while it was estimated", kind="window", key=name)
         return windows
-
-    def _by_key(self, keys: Sequence[WindowKey]) -> dict[WindowKey, Row[Any]]:
-        found: dict[WindowKey, Row[Any]] = {}
-        for first in range(0, len(keys), BATCH):
-            for row in self.connection.execute(STORED, {"keys": keys[first : first + BATCH]}):
-                found[row.wheelset, row.start_ns] = row
-        return found
 
     def parameter_keys(self, sections: Collection[str]) -> Sequence[TableKey]:
         """Return every combination of wheelset, vehicle and parameters of which there is a table on some sections."""
@@ -141,11 +122,8 @@ class BinTableStore:
             return self.once.of("tabled", [span], self._some_tabled).get(span, [])
         if from_ns is None and to_ns is None and (ahead := self.once.known("all tabled", wheelset)) is not None:
             return list(ahead)
-        statement = WITHOUT_TABLES.where(TABLES.c.wheelset == wheelset)
-        if from_ns is not None:
-            statement = statement.where(TABLES.c.start_ns >= from_ns)
-        if to_ns is not None:
-            statement = statement.where(TABLES.c.start_ns < to_ns)
+        within = (*given(from_ns, TABLES.c.start_ns.__ge__), *given(to_ns, TABLES.c.start_ns.__lt__))
+        statement = WITHOUT_TABLES.where(TABLES.c.wheelset == wheelset, *within)
         return _tabled(self.connection.execute(statement.order_by(TABLES.c.start_ns)))
 
     def last_reading(self, wheelset: str, from_ns: int, to_ns: int) -> TabledWindow | None:
@@ -174,55 +152,51 @@ class BinTableStore:
         self.once.of("packed", keys, self._packed)
 
     def _all_tabled(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[TabledWindow]]:
-        statement = WITHOUT_TABLES.where(TABLES.c.wheelset.in_(wheelsets)).order_by(
-            TABLES.c.wheelset, TABLES.c.start_ns
-        )
-        return by_wheelset(self.connection.execute(statement), lambda row: _tabled([row])[0])
+        statement = WITHOUT_TABLES.where(TABLES.c.wheelset.in_(wheelsets))
+        rows = self.connection.execute(statement.order_by(TABLES.c.wheelset, TABLES.c.start_ns))
+        return by_wheelset(rows, lambda row: _tabled([row])[0])
 
     def _last_readings(self, spans: Collection[tuple[str, int, int]]) -> Mapping[tuple[str, int, int], TabledWindow]:
-        given = _spans(spans)
+        asked = spans_given(spans)
         earlier, its_window = TABLES.alias("earlier"), WINDOWS.alias("its_window")
         same = and_(its_window.c.wheelset == earlier.c.wheelset, its_window.c.start_ns == earlier.c.start_ns)
         last = (
             select(earlier.c.start_ns)
             .join_from(earlier, its_window, same)
-            .where(*_within(earlier, given), earlier.c.running_km.is_not(None))
+            .where(*_within(earlier, asked), earlier.c.running_km.is_not(None))
             .where(func.abs(its_window.c.mileage_km) <= MOTION.most_mileage_km)
             .order_by(earlier.c.start_ns.desc())
             .limit(1)
         )
-        chosen = TABLES.c.start_ns == last.correlate(given).scalar_subquery()
-        return {(row.of_wheelset, row.from_ns, row.to_ns): _tabled([row])[0] for row in self._of_spans(given, chosen)}
+        chosen = TABLES.c.start_ns == last.correlate(asked).scalar_subquery()
+        return {(row.of_wheelset, row.from_ns, row.to_ns): _tabled([row])[0] for row in self._of_spans(asked, chosen)}
 
     def _some_tabled(self, spans: Collection[TabledSpan]) -> Mapping[TabledSpan, Sequence[TabledWindow]]:
-        found: dict[TabledSpan, list[TabledWindow]] = {span: [] for span in spans}
+        windows: dict[TabledSpan, list[TabledWindow]] = {span: [] for span in spans}
         for limit in sorted({span[3] for span in spans}):
-            given = _spans(span[:3] for span in spans if span[3] == limit)
+            asked = spans_given(span[:3] for span in spans if span[3] == limit)
             behind = TABLES.alias("behind")
-            following = select(behind.c.start_ns).where(*_within(behind, given)).order_by(behind.c.start_ns)
-            left_out = following.limit(1).offset(limit).correlate(given).scalar_subquery()
+            following = select(behind.c.start_ns).where(*_within(behind, asked)).order_by(behind.c.start_ns)
+            left_out = following.limit(1).offset(limit).correlate(asked).scalar_subquery()
             before = or_(left_out.is_(None), TABLES.c.start_ns < left_out)
-            for row in self._of_spans(given, and_(*_within(TABLES, given), before)):
-                found[row.of_wheelset, row.from_ns, row.to_ns, limit] += _tabled([row])
-        return found
+            for row in self._of_spans(asked, and_(*_within(TABLES, asked), before)):
+                windows[row.of_wheelset, row.from_ns, row.to_ns, limit] += _tabled([row])
+        return windows
 
-    def _of_spans(self, given: FromClause, chosen: ColumnElement[bool]) -> Sequence[Row[Any]]:
-        statement = WITHOUT_TABLES.add_columns(*given.c).join(given, given.c.of_wheelset == TABLES.c.wheelset)
+    def _of_spans(self, asked: FromClause, chosen: ColumnElement[bool]) -> Sequence[Row[Any]]:
+        statement = WITHOUT_TABLES.add_columns(*asked.c).join(asked, asked.c.of_wheelset == TABLES.c.wheelset)
         return self.connection.execute(statement.where(chosen).order_by(TABLES.c.wheelset, TABLES.c.start_ns)).all()
 
     def _packed(self, keys: Collection[WindowKey]) -> Mapping[WindowKey, bytes]:
-        own = tuple_(TABLES.c.wheelset, TABLES.c.start_ns).in_(sorted(keys))
-        rows = self.connection.execute(select(TABLES.c.wheelset, TABLES.c.start_ns, TABLES.c.packed).where(own))
+        of_keys = tuple_(TABLES.c.wheelset, TABLES.c.start_ns).in_(sorted(keys))
+        rows = self.connection.execute(select(TABLES.c.wheelset, TABLES.c.start_ns, TABLES.c.packed).where(of_keys))
         return {(row.wheelset, row.start_ns): row.packed for row in rows}
 
     def note_running(self, mileages: Mapping[str, Mapping[int, float]]) -> None:
         """Keep the mileages that wheelsets had run at windows, by serial and start."""
-        rows = [
-            {"wheelset": wheelset, "start_ns": at_ns, "running_km": km}
-            for wheelset, own in mileages.items()
-            for at_ns, km in own.items()
-        ]
-        replace_all(self.connection, TABLES, rows)
+        for wheelset, by_start in mileages.items():
+            rows = [{"wheelset": wheelset, "start_ns": start_ns, "running_km": km} for start_ns, km in by_start.items()]
+            replace_all(self.connection, TABLES, rows)
 
     def cells_of(self, wheelset: str, starts: Sequence[int]) -> Iterator[tuple[int, FilledCells]]:
         """Yield start and filled cells of the tables of some windows, oldest first; DamagedError names the window."""
@@ -231,14 +205,11 @@ class BinTableStore:
             for start_ns, packed in ahead:
                 yield start_ns, unpack_filled_cells(packed, where=f"bin table of window {wheelset}@{start_ns}")
             return
-        for first in range(0, len(starts), BATCH):
-            statement = (
-                select(TABLES.c.start_ns, TABLES.c.packed)
-                .where(TABLES.c.wheelset == wheelset, TABLES.c.start_ns.in_(starts[first : first + BATCH]))
-                .order_by(TABLES.c.start_ns)
-            )
-            with self.connection.execute(statement.execution_options(yield_per=BATCH)) as found:
-                for start_ns, packed in found:
+        for some in batches(starts):
+            of_windows = (TABLES.c.wheelset == wheelset, TABLES.c.start_ns.in_(some))
+            statement = select(TABLES.c.start_ns, TABLES.c.packed).where(*of_windows).order_by(TABLES.c.start_ns)
+            with self.connection.execute(statement.execution_options(yield_per=BATCH)) as rows:
+                for start_ns, packed in rows:
                     yield start_ns, unpack_filled_cells(packed, where=f"bin table of window {wheelset}@{start_ns}")
 
     def stream(
@@ -246,45 +217,28 @@ class BinTableStore:
     ) -> Iterator[tuple[WindowRecord, BinTable, int | None]]:
         """Yield windows that start in ``[from_ns, to_ns)`` with bin table and track version, oldest first."""
         statement = select(WINDOWS, TABLES.c.track_version, TABLES.c.packed).join_from(WINDOWS, TABLES, SAME_WINDOW)
-        statement = statement.where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns >= from_ns)
-        statement = statement if to_ns is None else statement.where(WINDOWS.c.start_ns < to_ns)
-        statement = statement.order_by(WINDOWS.c.start_ns)
-        with self.connection.execute(statement.execution_options(yield_per=BATCH)) as found:
-            for row in found:
+        within = (WINDOWS.c.start_ns >= from_ns, *given(to_ns, WINDOWS.c.start_ns.__lt__))
+        statement = statement.where(WINDOWS.c.wheelset == wheelset, *within).order_by(WINDOWS.c.start_ns)
+        with self.connection.execute(statement.execution_options(yield_per=BATCH)) as rows:
+            for row in rows:
                 where = f"bin table of window {wheelset}@{row.start_ns}"
                 yield to_window_record(row), unpack_bin_table(row.packed, where=where), row.track_version
 
 
-def _values(one: WindowTable) -> dict[str, Any]:
-    packed = pack_bin_table(one.table)
+def _values(tabled: WindowTable) -> dict[str, Any]:
+    packed = pack_bin_table(tabled.table)
     return {
-        "wheelset": one.wheelset,
-        "start_ns": one.start_ns,
-        "track_version": one.track_version,
-        "window_digest": one.window_digest,
-        "parameter_key": one.table.parameter_key,
-        "samples": int(one.table.samples),
+        **{name: getattr(tabled, name) for name in ("wheelset", "start_ns", "track_version", "window_digest")},
+        "parameter_key": tabled.table.parameter_key,
+        "samples": int(tabled.table.samples),
         "content_digest": hashlib.sha256(packed).hexdigest(),
         "packed": packed,
     }
 
 
-def _spans(spans: Iterable[tuple[str, int, int | None]]) -> FromClause:
-    """Return spans as a table: wheelset, first start, and that behind the last one."""
-    rows = (
-        select(
-            literal(wheelset, String).label("of_wheelset"),
-            literal(from_ns, BigInteger).label("from_ns"),
-            literal(to_ns, BigInteger).label("to_ns"),
-        )
-        for wheelset, from_ns, to_ns in spans
-    )
-    return union_all(*rows).subquery("spans")
-
-
-def _within(table: FromClause, given: FromClause) -> tuple[ColumnElement[bool], ...]:
-    before = or_(given.c.to_ns.is_(None), table.c.start_ns < given.c.to_ns)
-    return table.c.wheelset == given.c.of_wheelset, table.c.start_ns >= given.c.from_ns, before
+def _within(table: FromClause, asked: FromClause) -> tuple[ColumnElement[bool], ...]:
+    before = or_(asked.c.to_ns.is_(None), table.c.start_ns < asked.c.to_ns)
+    return table.c.wheelset == asked.c.of_wheelset, table.c.start_ns >= asked.c.from_ns, before
 
 
 def _tabled(rows: Iterable[Row[Any]]) -> list[TabledWindow]:

@@ -10,8 +10,8 @@ from typing import Any
 from sqlalchemy import (
     ColumnElement,
     CompoundSelect,
-    Connection,
     Select,
+    and_,
     bindparam,
     exists,
     func,
@@ -22,13 +22,13 @@ from sqlalchemy import (
     update,
 )
 
-from estimation.errors import ConflictError, NotFoundError
+from estimation.errors import ConflictError
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import Facet, SubjectKind
 from estimation.values.windows import WindowState
-from fleet_db.records import ChunkRecord, ChunkState, RecordingChange
-from fleet_db.rows import columns_of, equal, given, insert_new, row_of, table_of, value_of_row
-from fleet_db.subjects import Subjects
+from fleet_db.records import ChunkRecord, ChunkState, RawScrub, RecordingChange
+from fleet_db.rows import columns_of, equal, given, insert_new, present, row_of, table_of, value_of_row
+from fleet_db.subjects import RaisingStore, Store
 from fleet_db.tables.recordings import CLOCKS, LENGTHS, UNDECODED, ChunkRow, RawScrubRow, RecordingChangeRow, of_length
 from fleet_db.tables.registry import MountingRow, VehicleRow
 from fleet_db.tables.windows import WindowRow
@@ -76,12 +76,8 @@ class Undecoded:
     since_ns: int | None
 
 
-@dataclass(frozen=True, slots=True)
-class ChunkStore:
+class ChunkStore(RaisingStore):
     """Receipts, in one transaction."""
-
-    connection: Connection
-    subjects: Subjects
 
     def get(self, digest: str) -> ChunkRecord | None:
         """Return the receipt of the recording with this digest."""
@@ -95,9 +91,7 @@ class ChunkStore:
 
     def update(self, record: ChunkRecord) -> None:
         """Replace the receipt of ``record.digest``; raises NotFoundError."""
-        before = self.get(record.digest)
-        if before is None:
-            raise NotFoundError("chunk", record.digest)
+        before = present(self.get(record.digest), "chunk", record.digest)
         self.connection.execute(update(CHUNKS).where(CHUNKS.c.digest == record.digest).values(**_values(record)))
         self._note(before)
         self._note(record)
@@ -111,8 +105,7 @@ class ChunkStore:
         """
         within = {"of_vehicle": vehicle, "from_ns": from_ns, "to_ns": to_ns}
         within |= {f"from_ns_{number}": from_ns - (longest or 0) for number, (_, _, longest) in enumerate(LENGTHS)}
-        found = self._read(IN_SPAN[clock], within)
-        return sorted(found, key=lambda record: (record.first_ns or 0, record.digest))
+        return sorted(self._read(IN_SPAN[clock], within), key=lambda record: (record.first_ns or 0, record.digest))
 
     def overlapping_by_recorder(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[ChunkRecord]:
         """Return decoded recordings whose recorder stamped frames in ``[from_ns, to_ns)``, by their first frame."""
@@ -122,19 +115,16 @@ class ChunkStore:
         """Note of decoded recordings that came before a time that their raw bytes are deleted; return these."""
         old = (CHUNKS.c.received_ns < before_ns, CHUNKS.c.purged_ns.is_(None))
         decoded = select(CHUNKS).where(*old, CHUNKS.c.state == ChunkState.DECODED.value)
-        found = [
-            value_of_row(ChunkRecord, row)
-            for row in self.connection.execute(decoded.order_by(CHUNKS.c.digest).limit(limit))
-        ]
-        digests = [record.digest for record in found]
+        records = self._read(decoded.order_by(CHUNKS.c.digest).limit(limit))
+        digests = [record.digest for record in records]
         self.connection.execute(update(CHUNKS).where(CHUNKS.c.digest.in_(digests)).values(purged_ns=now_ns))
-        return found
+        return records
 
     def newest_ns(self) -> int | None:
         """Return the end of the newest decoded recording on its vehicle's clock; None where there is none."""
         decoded = CHUNKS.c.state == ChunkState.DECODED.value
-        found: int | None = self.connection.scalar(select(func.max(CHUNKS.c.last_ns)).where(decoded))
-        return found
+        newest_ns: int | None = self.connection.scalar(select(func.max(CHUNKS.c.last_ns)).where(decoded))
+        return newest_ns
 
     def newest_of_vehicle(self, vehicle: str, most: int = LOOKED_THROUGH) -> ChunkRecord | None:
         """Return the newest receipt of a vehicle among the ``most`` newest of all (there is no index by vehicle)."""
@@ -166,8 +156,7 @@ class ChunkStore:
 
     def of_digests(self, digests: Sequence[str]) -> dict[str, ChunkRecord]:
         """Return the receipts of some hundred recordings at most, each under its digest."""
-        found = self.connection.execute(select(CHUNKS).where(CHUNKS.c.digest.in_(digests)))
-        return {row.digest: value_of_row(ChunkRecord, row) for row in found}
+        return {record.digest: record for record in self._read(select(CHUNKS).where(CHUNKS.c.digest.in_(digests)))}
 
     def waiting_for_time(self, vehicle: str) -> Sequence[ChunkRecord]:
         """Return the receipts of a vehicle's recordings that wait for a TIME frame beside them, oldest first."""
@@ -176,24 +165,20 @@ class ChunkStore:
     def receipt(self, digest: str) -> ChunkRecord:
         """Return the receipt of a recording by its digest, or the begin of it that no other recording has."""
         begins = func.substr(CHUNKS.c.digest, 1, len(digest)) == digest
-        found = self._read(select(CHUNKS).where(begins).limit(2))
-        if not found:
-            raise NotFoundError("recording", digest)
-        if len(found) > 1:
-            raise ConflictError(
-                f"several recordings have a digest that begins {digest!r}", kind="recording", key=digest
-            )
-        return found[0]
+        records = self._read(select(CHUNKS).where(begins).limit(2))
+        if len(records) > 1:
+            reason = f"several recordings have a digest that begins {digest!r}"
+            raise ConflictError(reason, kind="recording", key=digest)
+        return present(next(iter(records), None), "recording", digest)
 
     def page(
         self, chosen: ChosenChunks, limit: int, before: tuple[int, str] | None = None
     ) -> builtins.list[ChunkRecord]:
         """Return receipts, the newest first, behind (time of receipt, digest) of ``before``."""
         place = (CHUNKS.c.received_ns, CHUNKS.c.digest)
-        statement = select(CHUNKS).where(*chosen.conditions()).order_by(*(one.desc() for one in place)).limit(limit)
-        if before is not None:
-            statement = statement.where(tuple_(*place) < tuple_(*before))
-        return self._read(statement)
+        behind = given(before, lambda key: tuple_(*place) < tuple_(*key))
+        statement = select(CHUNKS).where(*chosen.conditions(), *behind)
+        return self._read(statement.order_by(*(column.desc() for column in place)).limit(limit))
 
     def window_counts(self, record: ChunkRecord) -> dict[WindowState, int]:
         """Return how many windows share time and vehicle with a recording, by their state."""
@@ -225,13 +210,13 @@ class ChunkStore:
 
     def with_state(self, state: ChunkState, limit: int = 100) -> Sequence[ChunkRecord]:
         """Return receipts in ``state``, oldest first."""
-        found = select(CHUNKS).where(CHUNKS.c.state == state.value)
-        return self._read(found.order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest).limit(limit))
+        in_state = select(CHUNKS).where(CHUNKS.c.state == state.value)
+        return self._read(in_state.order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest).limit(limit))
 
     def _read(
-        self, statement: Select[Any] | CompoundSelect[Any], given: Mapping[str, Any] | None = None
+        self, statement: Select[Any] | CompoundSelect[Any], parameters: Mapping[str, Any] | None = None
     ) -> builtins.list[ChunkRecord]:
-        return [value_of_row(ChunkRecord, row) for row in self.connection.execute(statement, given)]
+        return [value_of_row(ChunkRecord, row) for row in self.connection.execute(statement, parameters)]
 
     def _note(self, record: ChunkRecord) -> None:
         """Let what rests on the rejected recordings of a vehicle follow one that is among them, or was."""
@@ -262,11 +247,8 @@ def _values(record: ChunkRecord) -> dict[str, object]:
 CHANGES = table_of(RecordingChangeRow)
 
 
-@dataclass(frozen=True, slots=True)
-class RecordingChangeStore:
+class RecordingChangeStore(Store):
     """The record of changes, append-only, in one transaction."""
-
-    connection: Connection
 
     def add(self, change: RecordingChange) -> None:
         """Add one."""
@@ -279,19 +261,7 @@ class RecordingChangeStore:
 
 
 SCRUBS = table_of(RawScrubRow)
-
-
-@dataclass(frozen=True, slots=True)
-class RawScrub:
-    """One reading: begin and end (ns of our clock; None while it is not whole), the last digest, and what was found."""
-
-    scrub_id: int
-    started_ns: int
-    finished_ns: int | None
-    after_digest: str
-    files: int
-    file_bytes: int
-    faults: int
+RAW_KEPT = and_(CHUNKS.c.purged_ns.is_(None), CHUNKS.c.state != ChunkState.DELETED.value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,11 +274,8 @@ class RawFile:
     vehicle: str
 
 
-@dataclass(frozen=True, slots=True)
-class RawScrubStore:
+class RawScrubStore(Store):
     """Readings, in one transaction."""
-
-    connection: Connection
 
     def last(self) -> RawScrub | None:
         """Return the newest; None before the first."""
@@ -329,11 +296,9 @@ class RawScrubStore:
     def files_after(self, digest: str, limit: int) -> Sequence[RawFile]:
         """Return raw files that must be there, in the order of their digests, behind one."""
         columns = (CHUNKS.c.digest, CHUNKS.c.suffix, CHUNKS.c.size_bytes, CHUNKS.c.vehicle)
-        kept = (CHUNKS.c.purged_ns.is_(None), CHUNKS.c.state != ChunkState.DELETED.value, CHUNKS.c.digest > digest)
-        found = self.connection.execute(select(*columns).where(*kept).order_by(CHUNKS.c.digest).limit(limit))
-        return [RawFile(*row) for row in found]
+        kept = select(*columns).where(RAW_KEPT, CHUNKS.c.digest > digest)
+        return [RawFile(*row) for row in self.connection.execute(kept.order_by(CHUNKS.c.digest).limit(limit))]
 
     def count_after(self, digest: str) -> int:
         """Return how many raw files are still to be read behind a digest."""
-        kept = (CHUNKS.c.purged_ns.is_(None), CHUNKS.c.state != ChunkState.DELETED.value, CHUNKS.c.digest > digest)
-        return int(self.connection.scalar(select(func.count()).where(*kept)) or 0)
+        return int(self.connection.scalar(select(func.count()).where(RAW_KEPT, CHUNKS.c.digest > digest)) or 0)

@@ -14,7 +14,7 @@ from sqlalchemy import Connection, insert
 
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.fields import JsonValue
-from estimation.values.registry import Mounting, Reprofiling
+from estimation.values.registry import Mounting, Reprofiling, SensorChange
 from estimation.values.track import TrackSectionRecord
 from estimation.vehicle.vehicle_class import (
     SHIPPED_VERSION,
@@ -26,19 +26,12 @@ from estimation.vehicle.vehicle_class import (
 )
 from fleet_db.locks import Subject, serialise
 from fleet_db.records import Decision, RecordAction, RecordKind
-from fleet_db.rows import columns_of, delete_row, row_of, table_of
+from fleet_db.rows import columns_of, delete_row, present, row_of, table_of, value_of_row
 from fleet_db.stores.assembled import EARLIEST_NS, LATEST_NS, make_stale
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore, find_class, stands_voided
 from fleet_db.stores.tracks import TrackStore, give_up_number
-from fleet_db.stores.wheelset_events import (
-    MEASURED,
-    MOUNTINGS,
-    REPROFILINGS,
-    SensorChangeStore,
-    sensor_change_of,
-    stored_measurement,
-)
+from fleet_db.stores.wheelset_events import MEASURED, MOUNTINGS, REPROFILINGS, SensorChangeStore, stored_measurement
 from fleet_db.tables.track import TrackSectionRow
 
 SECTIONS = table_of(TrackSectionRow)
@@ -71,8 +64,8 @@ class CorrectionStore:
         serialise(self.connection, Subject.REGISTRY)
         take = {
             RecordKind.MOUNTING: self._void_mounting,
-            RecordKind.REPROFILING: self._void_reprofiling,
-            RecordKind.MEASUREMENT: self._void_measurement,
+            RecordKind.REPROFILING: self._void_dated,
+            RecordKind.MEASUREMENT: self._void_dated,
             RecordKind.WHEELSET: self._void_wheelset,
             RecordKind.SECTION: self._void_section,
             RecordKind.VEHICLE: self._void_vehicle,
@@ -88,9 +81,7 @@ class CorrectionStore:
     def restore(self, key: RecordKey, decision: Decision) -> Mapping[str, JsonValue]:
         """Put a voided record back as it was and return it; raises NotFoundError, ConflictError: another is there."""
         serialise(self.connection, Subject.REGISTRY)
-        voided = self.history.latest(key, RecordAction.VOIDED)
-        if voided is None:
-            raise NotFoundError(f"voided {key.kind}", _name(key))
+        voided = present(self.history.latest(key, RecordAction.VOIDED), f"voided {key.kind}", _name(key))
         if self._on_file(key) is not None:
             raise ConflictError(f"{key.kind} {_name(key)} is on file", kind=key.kind.value, key=key.subject)
         self.history.note(key, RecordAction.RESTORED, voided.record, decision)
@@ -109,9 +100,9 @@ class CorrectionStore:
         elif kind is RecordKind.SECTION:
             self.tracks.add_section(TrackSectionRecord(**record), recorded_ns)
         elif kind is RecordKind.SENSOR_CHANGE:
-            found = sensor_change_of(record)
-            axles = self.registry.vehicle(found.vehicle).axles
-            self.sensor_changes.add(found, axles, Decision(recorded_ns=recorded_ns))
+            change = value_of_row(SensorChange, record)
+            axles = self.registry.vehicle(change.vehicle).axles
+            self.sensor_changes.add(change, axles, Decision(recorded_ns=recorded_ns))
         elif kind is RecordKind.VEHICLE_CLASS:
             restored = class_of_document(record)
             newest = find_class(self.connection, restored.code, None)
@@ -133,24 +124,21 @@ class CorrectionStore:
         return row_of(self.connection, _DATED[key.kind], key.subject, key.at_ns)
 
     def _void_mounting(self, key: RecordKey) -> _Values:
-        found = self._on_file(key)
-        if not isinstance(found, Mounting):
+        mounting = self._on_file(key)
+        if not isinstance(mounting, Mounting):
             raise NotFoundError(key.kind.value, _name(key))
-        delete_row(self.connection, MOUNTINGS, found.wheelset, found.from_ns)
-        self.registry.mounting_changed(found, None)
-        return asdict(found)
+        delete_row(self.connection, MOUNTINGS, mounting.wheelset, mounting.from_ns)
+        self.registry.mounting_changed(mounting, None)
+        return asdict(mounting)
 
-    def _void_reprofiling(self, key: RecordKey) -> _Values:
-        return self._taken(key, row_of(self.connection, REPROFILINGS, key.subject, key.at_ns))
-
-    def _void_measurement(self, key: RecordKey) -> _Values:
-        return self._taken(key, stored_measurement(self.connection, key.subject, key.at_ns or 0))
-
-    def _taken(self, key: RecordKey, row: _Values | None) -> _Values:
-        if row is None:
-            raise NotFoundError(key.kind.value, _name(key))
+    def _void_dated(self, key: RecordKey) -> _Values:
+        if key.kind is RecordKind.MEASUREMENT:
+            row = stored_measurement(self.connection, key.subject, key.at_ns or 0)
+        else:
+            row = row_of(self.connection, REPROFILINGS, key.subject, key.at_ns)
+        stored = present(row, key.kind.value, _name(key))
         delete_row(self.connection, _DATED[key.kind], key.subject, key.at_ns)
-        return row
+        return stored
 
     def _void_wheelset(self, key: RecordKey) -> _Values:
         record = self.registry.wheelset(key.subject)
@@ -180,19 +168,19 @@ class CorrectionStore:
 
     def _void_class(self, key: RecordKey) -> _Values:
         """Return the newest version of a class that is registered; what was in force before it follows it."""
-        found = self.registry.vehicle_class(key.subject)
-        if found is None or found.version == SHIPPED_VERSION or stands_voided(self.connection, key) is not None:
+        newest = self.registry.vehicle_class(key.subject)
+        if newest is None or newest.version == SHIPPED_VERSION or stands_voided(self.connection, key) is not None:
             raise NotFoundError("vehicle class", _name(key))
         vehicles = self.registry.vehicles_of_class(key.subject)
-        if vehicles and self._class_before(found) is None:
+        if vehicles and self._class_before(newest) is None:
             reason = f"vehicle {vehicles[0].code!r} is of class {key.subject!r}, and nothing was in force before it"
             raise ConflictError(reason, kind=key.kind.value, key=key.subject)
-        return class_document(found.vehicle_class)
+        return class_document(newest.vehicle_class)
 
-    def _class_before(self, found: ClassOnFile) -> VehicleClass | None:
+    def _class_before(self, on_file: ClassOnFile) -> VehicleClass | None:
         """Return what was in force before a version of a class: another version, or that of the package."""
-        code = found.vehicle_class.code
-        earlier = find_class(self.connection, code, found.version - 1) if found.version > 1 else None
+        code = on_file.vehicle_class.code
+        earlier = find_class(self.connection, code, on_file.version - 1) if on_file.version > 1 else None
         return self.registry.shipped(code) if earlier is None else earlier.vehicle_class
 
     def _previous_class(self, code: str, recorded_ns: int) -> None:
@@ -203,11 +191,9 @@ class CorrectionStore:
             self.registry.add_vehicle_class(before, recorded_ns)
 
     def _void_sensor_change(self, key: RecordKey) -> _Values:
-        found = self.sensor_changes.stored(key.subject, key.at_ns or 0)
-        if found is None:
-            raise NotFoundError("sensor change", _name(key))
+        stored = present(self.sensor_changes.stored(key.subject, key.at_ns or 0), "sensor change", _name(key))
         self.sensor_changes.remove(key.subject, key.at_ns or 0)
-        return found
+        return stored
 
 
 def _name(key: RecordKey) -> str:

@@ -22,8 +22,7 @@ from fleet_db.subjects import Subjects
 from fleet_db.tables.track import TrackVersionRow, WindowPositionRow
 from fleet_db.tables.windows import WindowRow
 
-WINDOWS, POSITIONS = table_of(WindowRow), table_of(WindowPositionRow)
-VERSIONS = table_of(TrackVersionRow)
+WINDOWS, POSITIONS, VERSIONS = table_of(WindowRow), table_of(WindowPositionRow), table_of(TrackVersionRow)
 OF_WINDOW = and_(POSITIONS.c.wheelset == WINDOWS.c.wheelset, POSITIONS.c.start_ns == WINDOWS.c.start_ns)
 
 
@@ -103,8 +102,7 @@ def decode_again(chunks: ChunkStore, record: ChunkRecord, why: str, now_ns: int)
     item = after_failure(None, (SubjectKind.RECORDING, record.digest, STAGE), record.vehicle, error, now_ns)
     QuarantineStore(chunks.connection).put(item)
     reason = Reason(item.code, item.error)
-    again = replace(record, state=ChunkState.STORED, reason=reason, first_ns=None, last_ns=None)
-    chunks.update(again)
+    chunks.update(replace(record, state=ChunkState.STORED, reason=reason, first_ns=None, last_ns=None))
 
 
 def decode_undecoded(chunks: ChunkStore, vehicle: str, why: str, now_ns: int) -> None:

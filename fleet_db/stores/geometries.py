@@ -60,8 +60,8 @@ class GeometryStore:
             records = self.baselines(wheelset)
             filled = [record for record in records if record.geometry.windows]
             return next(reversed(filled or records), None)
-        found = self._current(wheelset, as_of_ns)
-        return None if found is None else _record(found)
+        result = self._current(wheelset, as_of_ns)
+        return None if result is None else _record(result)
 
     def read_with(self, kinds: Collection[ResultKind[Any]], subjects: Collection[str]) -> None:
         """Read with one statement what :meth:`current_of` is asked next, and what is in force of other kinds."""
@@ -78,8 +78,8 @@ class GeometryStore:
 
     def current_of(self, wheelsets: Collection[str]) -> Mapping[str, GeometryRecord]:
         """Return what :meth:`current` does of each of some wheelsets that has one, by serial."""
-        found = _by_subject(self.results.in_force(GEOMETRY, wheelsets, None, CURRENT), lambda result: result)
-        return {wheelset: _record(_newest(results)) for wheelset, results in found.items()}
+        by_wheelset = _by_subject(self.results.in_force(GEOMETRY, wheelsets, None, CURRENT), lambda result: result)
+        return {wheelset: _record(_newest(results)) for wheelset, results in by_wheelset.items()}
 
     def version(self, wheelset: str) -> tuple[int, int] | None:
         """Return number and time of the current geometry put last: they change whenever :meth:`current` does."""
@@ -116,11 +116,11 @@ class GeometryStore:
 
     def interval_numbers(self, baselines: Mapping[str, int]) -> Mapping[str, Mapping[int, int]]:
         """Return by wheelset and interval of one baseline of each the number of the newest geometry."""
-        found: dict[str, dict[int, int]] = {serial: {} for serial in baselines}
+        numbers: dict[str, dict[int, int]] = {serial: {} for serial in baselines}
         spans = {serial: _intervals(baseline) for serial, baseline in baselines.items()}
         for serial, part, number in self.results.numbers(GEOMETRY, spans):
-            found[serial][key_of_part(part)[1] or 0] = number
-        return found
+            numbers[serial][key_of_part(part)[1] or 0] = number
+        return numbers
 
     def intervals(
         self,
@@ -146,23 +146,25 @@ class GeometryStore:
         ahead = self.once.known("conicities", wheelset)
         if ahead is None:
             return self.conicities_of({wheelset: baseline})[wheelset]
-        return [found for number, found in ahead if number == baseline]
+        return [conicities for number, conicities in ahead if number == baseline]
 
     def conicities_of(self, baselines: Mapping[str, int]) -> Mapping[str, Sequence[IntervalConicities]]:
         """Return the conicities of the intervals of some wheelsets, of one baseline of each by its number."""
-        found: dict[str, list[IntervalConicities]] = {wheelset: [] for wheelset in baselines}
-        for result in self.results.heads(GEOMETRY, list(baselines), _spanned(baselines.values())):
+        numbers = baselines.values()
+        spanned = (_intervals(min(numbers))[0], _intervals(max(numbers))[1]) if numbers else INTERVALS
+        conicities: dict[str, list[IntervalConicities]] = {wheelset: [] for wheelset in baselines}
+        for result in self.results.heads(GEOMETRY, list(baselines), spanned):
             if key_of_part(result.part)[0] == baselines[result.subject]:
-                found[result.subject].append(_conicities(result))
-        return found
+                conicities[result.subject].append(_conicities(result))
+        return conicities
 
     def _conicities(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[tuple[int, IntervalConicities]]]:
         heads = self.results.heads(GEOMETRY, wheelsets, INTERVALS)
         return _by_subject(heads, lambda result: (key_of_part(result.part)[0], _conicities(result)))
 
     def _current(self, wheelset: str, as_of_ns: int | None = None) -> Result[WheelsetGeometry] | None:
-        found = self.results.in_force(GEOMETRY, [wheelset], as_of_ns, CURRENT)
-        return _newest(found) if found else None
+        results = self.results.in_force(GEOMETRY, [wheelset], as_of_ns, CURRENT)
+        return _newest(results) if results else None
 
     def estimable(self, wheelsets: Collection[str]) -> frozenset[str]:
         """Return those of some wheelsets that have a bin table or a geometry."""
@@ -181,15 +183,9 @@ class GeometryStore:
 
     def bins_are_current(self, wheelset: str) -> bool:
         """Whether the plain rows of bins are those of the current geometry."""
-        found = self._current(wheelset)
-        return found is None or found.number == self._shown([wheelset]).get(wheelset)
-
-    def _shown(self, wheelsets: Collection[str]) -> Mapping[str, int]:
-        shown = select(BINS.c.wheelset, func.max(BINS.c.geometry_id).label("number")).where(
-            BINS.c.wheelset.in_(wheelsets)
-        )
-        rows = self.connection.execute(shown.group_by(BINS.c.wheelset))
-        return {row.wheelset: row.number for row in rows}
+        current = self._current(wheelset)
+        shown = select(func.max(BINS.c.geometry_id)).where(BINS.c.wheelset == wheelset)
+        return current is None or current.number == self.connection.scalar(shown)
 
     def show_bins(self, wheelsets: Collection[str]) -> None:
         """Let the plain rows of bins of some wheelsets be those of their current geometry."""
@@ -197,17 +193,17 @@ class GeometryStore:
             return
         stored = _by_subject(self.results.in_force(GEOMETRY, wheelsets, None, CURRENT), lambda result: result)
         newest = (_newest(results) for results in stored.values())
-        rows = [row for one in newest if one.value is not None for row in _bin_rows(one, one.value)]
+        rows = [row for result in newest if result.value is not None for row in _bin_rows(result, result.value)]
         if rows:
             self.connection.execute(delete(BINS).where(BINS.c.wheelset.in_({row["wheelset"] for row in rows})))
             self.connection.execute(insert(BINS), rows)
 
 
 def _by_subject(results: Iterable[Stored], value: Callable[[Stored], V]) -> dict[str, list[V]]:
-    found: dict[str, list[V]] = {}
+    by_subject: dict[str, list[V]] = {}
     for result in results:
-        found.setdefault(result.subject, []).append(value(result))
-    return found
+        by_subject.setdefault(result.subject, []).append(value(result))
+    return by_subject
 
 
 def _interval_digest(result: ResultHead) -> tuple[tuple[int, int], IntervalDigest]:
@@ -221,13 +217,8 @@ def _newest(results: Sequence[Result[WheelsetGeometry]]) -> Result[WheelsetGeome
 
 
 def _intervals(baseline: int, first: int | None = None, last: int | None = None) -> Parts:
-    return part_of(baseline, -MOST_INTERVALS if first is None else first), part_of(
-        baseline, MOST_INTERVALS if last is None else last
-    )
-
-
-def _spanned(baselines: Collection[int]) -> Parts:
-    return (_intervals(min(baselines))[0], _intervals(max(baselines))[1]) if baselines else INTERVALS
+    begin, end = -MOST_INTERVALS if first is None else first, MOST_INTERVALS if last is None else last
+    return part_of(baseline, begin), part_of(baseline, end)
 
 
 def _head(result: Result[Any] | ResultHead) -> dict[str, Any]:
@@ -320,8 +311,8 @@ class TrendStore:
 
     def latest(self, wheelset: str, as_of_ns: int | None = None) -> TrendRecord | None:
         """Return the newest trend, as it was recorded at ``as_of_ns``: that of the baseline in force then."""
-        found = self.results.latest(TREND, wheelset, as_of_ns)
-        return None if found is None else _trend_record(found)
+        result = self.results.latest(TREND, wheelset, as_of_ns)
+        return None if result is None else _trend_record(result)
 
 
 def _trend_record(result: Result[WearTrend]) -> TrendRecord:

@@ -6,13 +6,14 @@ import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, delete, func, insert, select, update
+from sqlalchemy import delete, func, insert, select, update
 
 from estimation.errors import ParameterError, StorageError
 from estimation.values.units import DAY_NS, SECOND_NS
 from fleet_db.locks import Subject, serialise
 from fleet_db.records import ChunkState
-from fleet_db.rows import table_of, upsert
+from fleet_db.rows import columns_of, table_of, upsert
+from fleet_db.subjects import Store
 from fleet_db.tables.alerts import AlertEventRow, FeedBranchRow
 from fleet_db.tables.operation import ResultRow, StoredSettingRow
 from fleet_db.tables.recordings import ChunkRow, RawMarkRow
@@ -21,16 +22,13 @@ SETTINGS, CHUNKS = table_of(StoredSettingRow), table_of(ChunkRow)
 LENGTH = "window_length_ns"
 
 
-@dataclass(frozen=True, slots=True)
-class StoredSettingStore:
+class StoredSettingStore(Store):
     """Settings and their values, in one transaction."""
-
-    connection: Connection
 
     def get(self, name: str) -> str | None:
         """Return a setting; None where it was never stored."""
-        found: str | None = self.connection.scalar(select(SETTINGS.c.value).where(SETTINGS.c.name == name))
-        return found
+        value: str | None = self.connection.scalar(select(SETTINGS.c.value).where(SETTINGS.c.name == name))
+        return value
 
     def put(self, name: str, value: str, recorded_ns: int) -> None:
         """Store a setting in place of what is there."""
@@ -59,11 +57,8 @@ class StoredSettingStore:
 MARKS = table_of(RawMarkRow)
 
 
-@dataclass(frozen=True, slots=True)
-class RawMarkStore:
+class RawMarkStore(Store):
     """The mark, in one transaction."""
-
-    connection: Connection
 
     def get(self) -> str | None:
         """Return the mark; None before the first use."""
@@ -87,25 +82,21 @@ class FeedBranch:
     after_sequence: int  # last event that it shares with the branch before
 
 
-@dataclass(frozen=True, slots=True)
-class FeedBranchStore:
+class FeedBranchStore(Store):
     """The branches of the feed, in one transaction."""
-
-    connection: Connection
 
     def all(self) -> Sequence[FeedBranch]:
         """Return the branches, the current one last; StorageError: somebody has emptied the database."""
         statement = select(BRANCHES.c.identity, BRANCHES.c.after_sequence).order_by(BRANCHES.c.branch_id)
-        found = [FeedBranch(row.identity, row.after_sequence) for row in self.connection.execute(statement)]
-        if not found:
+        branches = [FeedBranch(*row) for row in self.connection.execute(statement)]
+        if not branches:
             raise StorageError("the database has no identity: its table feed_branches is empty")
-        return found
+        return branches
 
     def begin(self, now_ns: int) -> FeedBranch:
         """Begin a branch behind the newest event, in the transaction that restores a database, and return it."""
         branch = FeedBranch(uuid.uuid4().hex, self.newest_sequence())
-        row = {"identity": branch.identity, "after_sequence": branch.after_sequence, "began_ns": now_ns}
-        self.connection.execute(insert(BRANCHES).values(**row))
+        self.connection.execute(insert(BRANCHES).values(**columns_of(branch), began_ns=now_ns))
         return branch
 
     def newest_sequence(self) -> int:
@@ -118,11 +109,8 @@ MOST_BEHIND_NS = DAY_NS
 """How far our clock may be behind what vehicles have measured by theirs before it is the one that is wrong."""
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedTimeStore:
+class RecordedTimeStore(Store):
     """Our clock on what is stored: results from the time when it was ahead count as recorded now."""
-
-    connection: Connection
 
     def correct(self, now_ns: int) -> int:
         """Let results that carry a later time than our clock shows count as recorded now; return how many.
@@ -140,7 +128,6 @@ class RecordedTimeStore:
         if now_ns < (self.connection.scalar(measured) or 0) - MOST_BEHIND_NS:
             return 0
         serialise(self.connection, Subject.GEOMETRIES)
-        superseded = update(RESULTS).where(RESULTS.c.superseded_ns > now_ns).values(superseded_ns=now_ns)
-        self.connection.execute(superseded)
+        self.connection.execute(update(RESULTS).where(RESULTS.c.superseded_ns > now_ns).values(superseded_ns=now_ns))
         recorded = update(RESULTS).where(RESULTS.c.recorded_ns > now_ns).values(recorded_ns=now_ns)
         return self.connection.execute(recorded).rowcount

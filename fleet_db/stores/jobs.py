@@ -26,12 +26,12 @@ from sqlalchemy import (
     tuple_,
     update,
 )
-from sqlalchemy.dialects import postgresql, sqlite
 
-from estimation.errors import AlreadyRunningError, ConflictError, LeaseLostError, NotFoundError
+from estimation.errors import AlreadyRunningError, ConflictError, LeaseLostError
 from estimation.values.runs import Claimed, JobOutcome, JobRun, JobTrigger
 from fleet_db.locks import UnendedLease
-from fleet_db.rows import columns_of, table_of, value_of_row
+from fleet_db.rows import columns_of, equal, given, insert_of, present, table_of, value_of_row
+from fleet_db.subjects import Store
 from fleet_db.tables.operation import JobRunRow, ResultRow, WorkClaimRow, WorkLeaseRow
 
 LEASES, CLAIMS = table_of(WorkLeaseRow), table_of(WorkClaimRow)
@@ -41,15 +41,12 @@ KEPT_NS = 86_400_000_000_000
 """So long it counts that a worker has ended at a thing."""
 
 
-@dataclass(frozen=True, slots=True)
-class WorkClaimStore:
+class WorkClaimStore(Store):
     """Leases of processes, and what is claimed under them.
 
     A claim costs the same however much waits: it names what it is for. The clock is that of the database, or of the
     machine with SQLite. Whoever stores results locks the row of the lease first: nobody takes over what is committed.
     """
-
-    connection: Connection
 
     def lease(self, holder: str, length_ns: int, owner: int | None = None, unit: str | None = None) -> int:
         """Begin a lease and return its number; those that have ended are removed, what was claimed is free again.
@@ -122,8 +119,8 @@ class WorkClaimStore:
 
     def forget(self, lease: int, stage: str, keys: Collection[str]) -> int:
         """Forget claims that are still under a lease; return how many."""
-        own = (CLAIMS.c.lease_id == lease, CLAIMS.c.stage == stage, CLAIMS.c.key.in_(sorted(keys)))
-        return self.connection.execute(delete(CLAIMS).where(*own)).rowcount
+        claimed = (CLAIMS.c.lease_id == lease, CLAIMS.c.stage == stage, CLAIMS.c.key.in_(sorted(keys)))
+        return self.connection.execute(delete(CLAIMS).where(*claimed)).rowcount
 
     def end(self, lease: int) -> None:
         """End a lease in order, if it is still there: what was claimed under it is forgotten."""
@@ -141,9 +138,9 @@ class WorkClaimStore:
             self.connection.execute(delete(LEASES).where(LEASES.c.lease_id == lease.number))
         begun = tuple_(CLAIMS.c.key, CLAIMS.c.begun_ns).in_(sorted(lease.begun_ns.items()))
         of_nobody = or_(CLAIMS.c.lease_id.is_(None), CLAIMS.c.lease_id == lease.number)
-        own = (CLAIMS.c.stage == lease.stage, of_nobody, begun)
-        self.connection.execute(delete(CLAIMS).where(*own, CLAIMS.c.attempts == 1))
-        self.connection.execute(update(CLAIMS).where(*own).values(attempts=CLAIMS.c.attempts - 1, lease_id=None))
+        late = (CLAIMS.c.stage == lease.stage, of_nobody, begun)
+        self.connection.execute(delete(CLAIMS).where(*late, CLAIMS.c.attempts == 1))
+        self.connection.execute(update(CLAIMS).where(*late).values(attempts=CLAIMS.c.attempts - 1, lease_id=None))
 
     def forgive(self, holder: str) -> None:
         """End the leases of a worker that was ended for no reason of its work: that does not count against it."""
@@ -154,8 +151,8 @@ class WorkClaimStore:
     def end_outdated(self) -> int:
         """Remove the leases that have ended, with those of the processes that they owned; return how many ended."""
         # one that is being committed under is skipped
-        found = select(LEASES.c.lease_id).where(_outdated(self.connection)).with_for_update(skip_locked=True)
-        ended = self.connection.execute(delete(LEASES).where(LEASES.c.lease_id.in_(found))).rowcount
+        outdated = select(LEASES.c.lease_id).where(_outdated(self.connection)).with_for_update(skip_locked=True)
+        ended = self.connection.execute(delete(LEASES).where(LEASES.c.lease_id.in_(outdated))).rowcount
         if ended:
             forgotten = (CLAIMS.c.lease_id.is_(None), CLAIMS.c.begun_ns < _now(self.connection) - KEPT_NS)
             self.connection.execute(delete(CLAIMS).where(*forgotten))
@@ -166,7 +163,7 @@ class WorkClaimStore:
         now = _now(self.connection)
         claim = {"stage": stage, "lease_id": lease, "attempts": 1, "begun_ns": now}
         values = [{"key": key, **claim} for key in dict.fromkeys(keys)]
-        new = (postgresql if self.connection.dialect.name == "postgresql" else sqlite).insert(CLAIMS).values(values)
+        new = insert_of(self.connection.dialect.name, CLAIMS).values(values)
         forgotten = CLAIMS.c.begun_ns < now - KEPT_NS
         claimed = new.on_conflict_do_update(
             index_elements=[CLAIMS.c.stage, CLAIMS.c.key],
@@ -200,8 +197,8 @@ def _now(connection: Connection) -> ColumnElement[int]:
 
 def _locked(lease: int, *, ending: bool = False) -> Select[tuple[int]]:
     """Return the statement that keeps a lease from being ended by others; unless it is ending it may be prolonged."""
-    found = select(LEASES.c.lease_id).where(LEASES.c.lease_id == lease)
-    return found.with_for_update() if ending else found.with_for_update(read=True, key_share=True)
+    row = select(LEASES.c.lease_id).where(LEASES.c.lease_id == lease)
+    return row.with_for_update() if ending else row.with_for_update(read=True, key_share=True)
 
 
 RUNS, RESULTS = table_of(JobRunRow), table_of(ResultRow)
@@ -263,34 +260,21 @@ class JobRunStore:
         return self._abandon(finished_ns, or_(RUNS.c.owner.is_(None), RUNS.c.owner.not_in(select(LEASES.c.lease_id))))
 
     def _abandon(self, finished_ns: int, which: ColumnElement[bool]) -> int:
-        statement = update(RUNS).where(RUNS.c.outcome == RUNNING, which)
-        return self.connection.execute(
-            statement.values(outcome=JobOutcome.ABANDONED.value, finished_ns=finished_ns, error=GONE)
-        ).rowcount
+        abandoned = {"outcome": JobOutcome.ABANDONED.value, "finished_ns": finished_ns, "error": GONE}
+        return self.connection.execute(update(RUNS).where(RUNS.c.outcome == RUNNING, which).values(abandoned)).rowcount
 
     def get(self, run_id: int) -> JobRun:
         """Return one run, abandoned where its process is gone; raises NotFoundError."""
         row = self.connection.execute(select(RUNS).where(RUNS.c.run_id == run_id)).first()
-        if row is None:
-            raise NotFoundError("job run", str(run_id))
-        return self._runs([row])[0]
+        return self._runs([present(row, "job run", run_id)])[0]
 
     def page(self, job: str | None, before_id: int | None, limit: int) -> Sequence[JobRun]:
         """Return at most ``limit`` runs with a number below ``before_id``, newest first; as :meth:`get`."""
-        statement = select(RUNS)
-        if job is not None:
-            statement = statement.where(RUNS.c.job == job)
-        if before_id is not None:
-            statement = statement.where(RUNS.c.run_id < before_id)
+        statement = select(RUNS).where(*equal(RUNS, job=job), *given(before_id, RUNS.c.run_id.__lt__))
         return self._runs(self.connection.execute(statement.order_by(RUNS.c.run_id.desc()).limit(limit)).all())
 
     def _runs(self, rows: Sequence[Row[Any]]) -> list[JobRun]:
         owners = {row.owner for row in rows if row.owner is not None and row.outcome == RUNNING}
-        return [_run(row, owners - living(self.connection, owners)) for row in rows]
-
-
-def _run(row: Row[Any], gone: Collection[int]) -> JobRun:
-    run = value_of_row(JobRun, row)
-    if run.outcome is JobOutcome.RUNNING and row.owner in gone:
-        return replace(run, outcome=JobOutcome.ABANDONED, error=GONE)
-    return run
+        gone = owners - living(self.connection, owners)
+        runs = [(value_of_row(JobRun, row), row.outcome == RUNNING and row.owner in gone) for row in rows]
+        return [replace(run, outcome=JobOutcome.ABANDONED, error=GONE) if is_gone else run for run, is_gone in runs]

@@ -49,13 +49,14 @@ from fleet_db.rows import (
     key_of,
     put_rows,
     replace_all,
+    row_of,
     table_of,
     upsert,
     value_of_row,
 )
 from fleet_db.rows import replace as replace_row
 from fleet_db.stores.results import ResultStore
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import RaisingStore
 from fleet_db.tables.track import SuspensionFindingRow
 from fleet_db.tables.windows import RailCellRow, SectionAdhesionRow, WindowAdhesionRow, WindowDamperRow, WindowRow
 
@@ -65,17 +66,13 @@ FORGOTTEN = 1000  # windows at once: the next run goes on
 SAME = and_(OF_WINDOWS.c.wheelset == WINDOWS.c.wheelset, OF_WINDOWS.c.start_ns == WINDOWS.c.start_ns)
 
 
-@dataclass(frozen=True, slots=True)
-class AdhesionStore:
+class AdhesionStore(RaisingStore):
     """Creep forces of windows, and the friction of sections."""
-
-    connection: Connection
-    subjects: Subjects
 
     def looked_at(self, keys: Sequence[WindowKey]) -> Mapping[WindowKey, str]:
         """Return digests of the samples that the creep of windows was found from."""
-        own = tuple_(OF_WINDOWS.c.wheelset, OF_WINDOWS.c.start_ns).in_(keys)
-        rows = self.connection.execute(select(*OF_WINDOWS.primary_key, OF_WINDOWS.c.content_digest).where(own))
+        of_keys = tuple_(OF_WINDOWS.c.wheelset, OF_WINDOWS.c.start_ns).in_(keys)
+        rows = self.connection.execute(select(*OF_WINDOWS.primary_key, OF_WINDOWS.c.content_digest).where(of_keys))
         return {(row.wheelset, row.start_ns): row.content_digest for row in rows}
 
     def list_waiting(self, wheelset: str) -> None:
@@ -88,24 +85,24 @@ class AdhesionStore:
         old = (WINDOWS.c.track_section == section, WINDOWS.c.start_ns < before_ns)
         list_due(self.connection, FRICTION, and_(*old, kept))
 
-    def put_all(self, found: Sequence[WindowAdhesion]) -> None:
+    def put_all(self, creeps: Sequence[WindowAdhesion]) -> None:
         """Store the creep of windows; earlier ones are replaced. Their sections pool them then."""
-        put_rows(self.connection, OF_WINDOWS, [_values(one) for one in found])
-        keys = [(one.wheelset, one.start_ns) for one in found]
+        put_rows(self.connection, OF_WINDOWS, [_values(creep) for creep in creeps])
+        keys = [(creep.wheelset, creep.start_ns) for creep in creeps]
         if keys:
             list_due(self.connection, FRICTION, tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys))
-        for one in found:
-            self.subjects.raised(SubjectKind.SECTION, one.track_section, CREEP)
-            self.subjects.raised(SubjectKind.VEHICLE, one.vehicle, CREEP)
+        for creep in creeps:
+            self.subjects.raised(SubjectKind.SECTION, creep.track_section, CREEP)
+            self.subjects.raised(SubjectKind.VEHICLE, creep.vehicle, CREEP)
 
     def of_wheelset(self, wheelset: str, after_ns: int | None, limit: int) -> Sequence[WindowAdhesion]:
         """Return the creep of the windows of a wheelset that begin after a time, oldest first.
 
         A window whose samples are others by now is left out until it has been looked at again.
         """
-        own = (OF_WINDOWS.c.wheelset == wheelset, OF_WINDOWS.c.content_digest == WINDOWS.c.content_digest)
+        of_windows = (OF_WINDOWS.c.wheelset == wheelset, OF_WINDOWS.c.content_digest == WINDOWS.c.content_digest)
         chosen = select(OF_WINDOWS).select_from(OF_WINDOWS.join(WINDOWS, SAME))
-        chosen = chosen.where(*own, *given(after_ns, OF_WINDOWS.c.start_ns.__gt__))
+        chosen = chosen.where(*of_windows, *given(after_ns, OF_WINDOWS.c.start_ns.__gt__))
         return self._windows(chosen.limit(limit))
 
     def of_section(self, section: str, from_ns: int, to_ns: int) -> Sequence[WindowAdhesion]:
@@ -128,70 +125,55 @@ class AdhesionStore:
         They are a hundred times as long as the forces, and only what is pooled needs them.
         """
         old = (OF_WINDOWS.c.track_section == section, OF_WINDOWS.c.start_ns < before_ns, OF_WINDOWS.c.with_sums)
-        found = self._windows(select(OF_WINDOWS).where(*old).limit(FORGOTTEN))
-        replace_all(self.connection, OF_WINDOWS, [_values(replace(one, sums=None)) for one in found])
-        return len(found)
+        with_sums = self._windows(select(OF_WINDOWS).where(*old).limit(FORGOTTEN))
+        replace_all(self.connection, OF_WINDOWS, [_values(replace(creep, sums=None)) for creep in with_sums])
+        return len(with_sums)
 
-    def put_section(self, found: SectionAdhesion, code_version: str, made_with: str) -> bool:
+    def put_section(self, friction: SectionAdhesion, code_version: str, made_with: str) -> bool:
         """Store a section's friction; of hours that end within these, those that reach back furthest stay: no gaps."""
-        values = {
-            "track_section": found.track_section,
-            "to_ns": found.to_ns,
-            "from_ns": found.from_ns,
-            "code_version": code_version,
-            "made_with": made_with,
-            "packed": pack_value(found),
-        }
-        key = (OF_SECTIONS.c.track_section == found.track_section, OF_SECTIONS.c.to_ns == found.to_ns)
-        before = self.connection.execute(select(OF_SECTIONS).where(*key)).mappings().first()
+        values = {name: getattr(friction, name) for name in ("track_section", "to_ns", "from_ns")}
+        values |= {"code_version": code_version, "made_with": made_with, "packed": pack_value(friction)}
+        before = row_of(self.connection, OF_SECTIONS, friction.track_section, friction.to_ns)
         if before is not None and all(before[name] == value for name, value in values.items() if name != "made_with"):
             if before["made_with"] != made_with:
                 replace_row(self.connection, OF_SECTIONS, values)
             return False
         within = (
-            OF_SECTIONS.c.track_section == found.track_section,
-            OF_SECTIONS.c.to_ns >= found.from_ns,
-            OF_SECTIONS.c.to_ns < found.to_ns,
+            OF_SECTIONS.c.track_section == friction.track_section,
+            OF_SECTIONS.c.to_ns >= friction.from_ns,
+            OF_SECTIONS.c.to_ns < friction.to_ns,
         )
         first = select(func.min(OF_SECTIONS.c.to_ns)).where(*within).scalar_subquery()
         self.connection.execute(delete(OF_SECTIONS).where(*within, OF_SECTIONS.c.to_ns > first))
-        self.subjects.raised(SubjectKind.SECTION, found.track_section, FRICTION)
+        self.subjects.raised(SubjectKind.SECTION, friction.track_section, FRICTION)
         return upsert(self.connection, OF_SECTIONS, values)
 
     def made_with(self, sections: Sequence[str]) -> Mapping[str, tuple[int, str]]:
         """Return when the newest hours of some sections end, and digests of the limits that they were found with."""
-        chosen = (OF_SECTIONS.c.track_section.in_(sections),)
         columns = (OF_SECTIONS.c.track_section, OF_SECTIONS.c.to_ns, OF_SECTIONS.c.made_with)
-        rows = self.connection.execute(select(*columns).where(*chosen).order_by(OF_SECTIONS.c.to_ns))
+        of_sections = select(*columns).where(OF_SECTIONS.c.track_section.in_(sections))
+        rows = self.connection.execute(of_sections.order_by(OF_SECTIONS.c.to_ns))
         return {row.track_section: (row.to_ns, row.made_with) for row in rows}
 
     def section(self, section: str, at_ns: int | None = None) -> SectionAdhesion | None:
         """Return the newest friction of a section, or that of hours with a vehicle time; None where there is none."""
-        statement = select(OF_SECTIONS).where(OF_SECTIONS.c.track_section == section)
-        if at_ns is not None:
-            statement = statement.where(OF_SECTIONS.c.from_ns <= at_ns, OF_SECTIONS.c.to_ns >= at_ns)
-        row = self.connection.execute(statement.order_by(OF_SECTIONS.c.to_ns.desc()).limit(1)).first()
-        where = f"friction of section {section}"
-        return None if row is None else unpack_value(SectionAdhesion, row.packed, where=where)
+        return next(iter(self.during(section, at_ns, at_ns, most=1)), None)
 
-    def during(self, section: str, from_ns: int, to_ns: int) -> Sequence[SectionAdhesion]:
-        """Return the friction of a section of all hours that hold a time of a span, newest first."""
-        chosen = (
-            OF_SECTIONS.c.track_section == section,
-            OF_SECTIONS.c.from_ns <= to_ns,
-            OF_SECTIONS.c.to_ns >= from_ns,
-        )
-        rows = self.connection.execute(select(OF_SECTIONS).where(*chosen).order_by(OF_SECTIONS.c.to_ns.desc()))
+    def during(
+        self, section: str, from_ns: int | None, to_ns: int | None, most: int | None = None
+    ) -> Sequence[SectionAdhesion]:
+        """Return the friction of a section of all hours that hold a time of a span, newest first; None is all."""
+        within = (*given(to_ns, OF_SECTIONS.c.from_ns.__le__), *given(from_ns, OF_SECTIONS.c.to_ns.__ge__))
+        newest_first = select(OF_SECTIONS).where(OF_SECTIONS.c.track_section == section, *within)
+        rows = self.connection.execute(newest_first.order_by(OF_SECTIONS.c.to_ns.desc()).limit(most))
         where = f"friction of section {section}"
         return [unpack_value(SectionAdhesion, row.packed, where=where) for row in rows]
 
     def _windows(self, statement: Select[Any]) -> Sequence[WindowAdhesion]:
-        ordered = statement.order_by(OF_WINDOWS.c.start_ns, OF_WINDOWS.c.wheelset)
-        return [_window(row) for row in self.connection.execute(ordered)]
-
-
-def _window(row: Row[Any]) -> WindowAdhesion:
-    return unpack_window_adhesion(row.packed, where=f"creep of window {row.wheelset}@{row.start_ns}")
+        rows = self.connection.execute(statement.order_by(OF_WINDOWS.c.start_ns, OF_WINDOWS.c.wheelset))
+        return [
+            unpack_window_adhesion(row.packed, where=f"creep of window {row.wheelset}@{row.start_ns}") for row in rows
+        ]
 
 
 def _standing(statement: Select[Any], section: str) -> Select[Any]:
@@ -203,26 +185,17 @@ def _standing(statement: Select[Any], section: str) -> Select[Any]:
     )
 
 
-def _values(found: WindowAdhesion) -> dict[str, object]:
-    return {
-        "wheelset": found.wheelset,
-        "start_ns": found.start_ns,
-        "track_section": found.track_section,
-        "content_digest": found.content_digest,
-        "with_sums": found.sums is not None,
-        "packed": pack_window_adhesion(found),
-    }
+def _values(creep: WindowAdhesion) -> dict[str, object]:
+    plain = ("wheelset", "start_ns", "track_section", "content_digest")
+    packed = {"with_sums": creep.sums is not None, "packed": pack_window_adhesion(creep)}
+    return {**{name: getattr(creep, name) for name in plain}, **packed}
 
 
 FINDINGS = table_of(SuspensionFindingRow)
 
 
-@dataclass(frozen=True, slots=True)
-class SuspensionStore:
+class SuspensionStore(RaisingStore):
     """What the passes of sections show of the suspension of vehicles."""
-
-    connection: Connection
-    subjects: Subjects
 
     def put(self, finding: SuspensionFinding, epoch: int | None = None) -> None:
         """Store a finding of an epoch; one of the same vehicle, section and time is replaced."""
@@ -268,9 +241,14 @@ class DamperStore:
     connection: Connection
     results: ResultStore
 
-    def put_all(self, found: Sequence[WindowDamper]) -> None:
+    def put_all(self, dampers: Sequence[WindowDamper]) -> None:
         """Store what windows say of dampers; what they said before is replaced."""
-        put_rows(self.connection, DAMPERS, [_damper_values(one) for one in found])
+        plain = ("vehicle", "first_axle", "start_ns", "wheelset", "content_digest")
+        rows = [
+            {**{name: getattr(damper, name) for name in plain}, "packed": pack_window_damper(damper)}
+            for damper in dampers
+        ]
+        put_rows(self.connection, DAMPERS, rows)
 
     def gears(self, vehicles: Sequence[str]) -> Sequence[GEAR]:
         """Return the running gears of some vehicles of which windows say something."""
@@ -280,41 +258,28 @@ class DamperStore:
 
     def newest(self, vehicle: str, first_axle: int, limit: int) -> Sequence[WindowDamper]:
         """Return what the newest windows of a running gear that are there unchanged say, newest first."""
-        own = (DAMPERS.c.vehicle == vehicle, DAMPERS.c.first_axle == first_axle)
-        statement = select(DAMPERS).select_from(DAMPERS.join(WINDOWS, SAME_DAMPER)).where(*own)
+        of_gear = (DAMPERS.c.vehicle == vehicle, DAMPERS.c.first_axle == first_axle)
+        statement = select(DAMPERS).select_from(DAMPERS.join(WINDOWS, SAME_DAMPER)).where(*of_gear)
         rows = self.connection.execute(statement.order_by(DAMPERS.c.start_ns.desc()).limit(limit))
         return [unpack_window_damper(row.packed, where=f"damper of {vehicle} axle {first_axle}") for row in rows]
 
     def forget(self, vehicle: str, first_axle: int, before_ns: int) -> int:
         """Remove what windows of a running gear say that began before a time; return of how many."""
-        own = (DAMPERS.c.vehicle == vehicle, DAMPERS.c.first_axle == first_axle)
-        return self.connection.execute(delete(DAMPERS).where(*own, DAMPERS.c.start_ns < before_ns)).rowcount
-
-    def of_vehicle(self, vehicle: str) -> Sequence[GearDamper]:
-        """Return the dampers of a vehicle by axle."""
-        return self.of_vehicles([vehicle])
+        of_gear = (DAMPERS.c.vehicle == vehicle, DAMPERS.c.first_axle == first_axle)
+        return self.connection.execute(delete(DAMPERS).where(*of_gear, DAMPERS.c.start_ns < before_ns)).rowcount
 
     def of_vehicles(self, vehicles: Collection[str]) -> Sequence[GearDamper]:
         """Return the dampers of some vehicles, by vehicle and axle."""
-        found = self.results.in_force(GEAR_DAMPERS, vehicles)
-        dampers = (one.value for one in found if one.value is not None)
-        return sorted(dampers, key=lambda one: (one.vehicle, one.first_axle))
-
-
-def _damper_values(found: WindowDamper) -> dict[str, object]:
-    plain = ("vehicle", "first_axle", "start_ns", "wheelset", "content_digest")
-    return {**{name: getattr(found, name) for name in plain}, "packed": pack_window_damper(found)}
+        results = self.results.in_force(GEAR_DAMPERS, vehicles)
+        dampers = (result.value for result in results if result.value is not None)
+        return sorted(dampers, key=lambda damper: (damper.vehicle, damper.first_axle))
 
 
 CELLS = table_of(RailCellRow)
 
 
-@dataclass(frozen=True, slots=True)
-class RailsStore:
+class RailsStore(RaisingStore):
     """Conicities of wheelsets by section."""
-
-    connection: Connection
-    subjects: Subjects
 
     def cells(self, wheelsets: Collection[str] | None = None) -> Sequence[StoredCell]:
         """Return all cells, or those of some wheelsets, in the order of their keys.
@@ -324,18 +289,18 @@ class RailsStore:
         columns = [CELLS.c[name] for name in (*_KEY, "digest", "interval_digest")]
         wanted: Select[Any] = select(*columns, cast(CELLS.c.document, Text).label("document"))
         rows = self.connection.execute(wanted.where(*given(wheelsets, CELLS.c.wheelset.in_)))
-        return sorted((_cell(row) for row in rows), key=lambda one: (one.wheel, one.rail))
+        return sorted((_cell(row) for row in rows), key=lambda cell: (cell.wheel, cell.rail))
 
     def put_cells(self, cells: Sequence[StoredCell]) -> None:
         """Store cells, in the place of earlier ones of the same keys."""
-        put_rows(self.connection, CELLS, [_key_values(one.wheel, one.rail) | _cell_values(one) for one in cells])
-        self._raise({one.wheel.wheelset for one in cells})
+        put_rows(self.connection, CELLS, [_key_values(cell.wheel, cell.rail) | _cell_values(cell) for cell in cells])
+        self._raise({cell.wheel.wheelset for cell in cells})
 
     def drop_cells(self, keys: Sequence[tuple[WheelKey, RailKey]]) -> None:
         """Remove cells."""
         if keys:
-            given = [key_of(CELLS, _key_values(wheel, rail)) for wheel, rail in keys]
-            self.connection.execute(delete(CELLS).where(key_given(CELLS)), given)
+            parameters = [key_of(CELLS, _key_values(wheel, rail)) for wheel, rail in keys]
+            self.connection.execute(delete(CELLS).where(key_given(CELLS)), parameters)
         self._raise({wheel.wheelset for wheel, _ in keys})
 
     def _raise(self, wheelsets: Collection[str]) -> None:
@@ -353,23 +318,19 @@ def _key_values(wheel: WheelKey, rail: RailKey) -> dict[str, Any]:
     return dict(zip(_KEY, parts, strict=True))
 
 
-def _cell_key(row: Row[Any]) -> tuple[WheelKey, RailKey]:
-    return WheelKey(row.wheelset, row.baseline, row.mileage_interval), RailKey(row.section, row.period)
-
-
-def _cell_values(one: StoredCell) -> dict[str, Any]:
-    document: dict[str, Any] = {name: getattr(one, name) for name in _EXTENT}
-    if one.reason is not None:
-        document["reason"] = to_json(one.reason)
-    if one.cell is not None:
-        scalars, arrays = fields_of(one.cell, without=("wheel", "rail"))
+def _cell_values(stored: StoredCell) -> dict[str, Any]:
+    document: dict[str, Any] = {name: getattr(stored, name) for name in _EXTENT}
+    if stored.reason is not None:
+        document["reason"] = to_json(stored.reason)
+    if stored.cell is not None:
+        scalars, arrays = fields_of(stored.cell, without=("wheel", "rail"))
         of_arrays = {name: to_json(values.tolist()) for name, values in arrays.items()}
         document |= {"scalars": scalars, "arrays": of_arrays}
-    return {"digest": one.digest, "interval_digest": one.interval_digest, "document": document}
+    return {"digest": stored.digest, "interval_digest": stored.interval_digest, "document": document}
 
 
 def _cell(row: Row[Any]) -> StoredCell:
-    wheel, rail = _cell_key(row)
+    wheel, rail = WheelKey(row.wheelset, row.baseline, row.mileage_interval), RailKey(row.section, row.period)
     try:
         document = json.loads(row.document)
         reason = from_json(document["reason"], Reason) if "reason" in document else None

@@ -10,21 +10,24 @@ from typing import Any
 from sqlalchemy import Connection, Select, select
 
 from estimation.contact.profiles import MeasuredProfiles
-from estimation.errors import NotFoundError
-from estimation.values.registry import (
-    FleetRecord,
-    Mounting,
-    Reprofiling,
-    VehicleRecord,
-    WheelsetRecord,
-    mounting_of,
-)
+from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord, mounting_of
 from estimation.values.windows import DueStage
 from estimation.vehicle.vehicle_class import SHIPPED_VERSION, ClassOnFile, VehicleClass, class_document
 from fleet_db.due import list_due
 from fleet_db.locks import Subject, serialise
 from fleet_db.records import NOTHING_AGAIN, Decision, EstimatedAgain, RecordAction, RecordKind
-from fleet_db.rows import by_wheelset, columns_of, delete_row, given, row_of, table_of, upsert, value_of_row
+from fleet_db.rows import (
+    by_wheelset,
+    columns_of,
+    delete_row,
+    equal,
+    given,
+    present,
+    row_of,
+    table_of,
+    upsert,
+    value_of_row,
+)
 from fleet_db.stores.assembled import StaleSpanStore
 from fleet_db.stores.chunks import ChunkStore
 from fleet_db.stores.estimated_again import Again, decode_undecoded
@@ -89,10 +92,7 @@ class RegistryStore:
 
     def vehicle(self, code: str) -> VehicleRecord:
         """Return one vehicle; raises NotFoundError."""
-        found = self.vehicles_of([code])
-        if not found:
-            raise NotFoundError("vehicle", code)
-        return found[code]
+        return present(self.vehicles_of([code]).get(code), "vehicle", code)
 
     def visible_vehicles(self, codes: Sequence[str]) -> set[str]:
         """Return which of these codes are those of vehicles that this transaction sees."""
@@ -100,9 +100,9 @@ class RegistryStore:
 
     def vehicles_page(self, fleet: str | None, after: str | None, limit: int) -> Sequence[VehicleRecord]:
         """Return at most ``limit`` vehicles with a code behind ``after`` that are not voided."""
-        statement = _in_fleet(select(VEHICLES), VEHICLES.c.fleet, fleet)
+        chosen = (*equal(VEHICLES, fleet=fleet), *given(after, VEHICLES.c.code.__gt__))
         in_force = ~is_voided(RecordKind.VEHICLE, VEHICLES.c.code)
-        return self._vehicles(statement.where(in_force, *given(after, VEHICLES.c.code.__gt__)).limit(limit))
+        return self._vehicles(select(VEHICLES).where(in_force, *chosen).limit(limit))
 
     def vehicles(self) -> Sequence[VehicleRecord]:
         """Return all vehicles, those that are voided too, by code."""
@@ -112,7 +112,8 @@ class RegistryStore:
         """Return vehicles by code; one that is not on file is left out."""
 
         def read(some: Collection[str]) -> Mapping[str, VehicleRecord]:
-            return {one.code: one for one in self._vehicles(select(VEHICLES).where(VEHICLES.c.code.in_(some)))}
+            vehicles = self._vehicles(select(VEHICLES).where(VEHICLES.c.code.in_(some)))
+            return {vehicle.code: vehicle for vehicle in vehicles}
 
         return self.once.of("vehicle", codes, read)
 
@@ -122,7 +123,7 @@ class RegistryStore:
 
     def wheelsets(self, fleet: str | None = None) -> Sequence[WheelsetRecord]:
         """Return wheelsets by serial, of one fleet or of all."""
-        return self._wheelsets(_in_fleet(_WITH_MOUNTING, WHEELSETS.c.fleet, fleet))
+        return self._wheelsets(_WITH_MOUNTING.where(*equal(WHEELSETS, fleet=fleet)))
 
     def wheelsets_of(self, serials: Sequence[str], *, voided: bool = True) -> Sequence[WheelsetRecord]:
         """Return the wheelsets of these serials, by serial; one that is not on file is left out."""
@@ -131,17 +132,14 @@ class RegistryStore:
             chosen = _WITH_MOUNTING.where(WHEELSETS.c.serial.in_(some))
             if not voided:
                 chosen = chosen.where(~is_voided(RecordKind.WHEELSET, WHEELSETS.c.serial))
-            return {one.serial: one for one in self._wheelsets(chosen)}
+            return {wheelset.serial: wheelset for wheelset in self._wheelsets(chosen)}
 
-        found = self.once.of_wheelsets("wheelset" if voided else "wheelset in force", serials, read)
-        return [record for _, record in sorted(found.items())]
+        by_serial = self.once.of_wheelsets("wheelset" if voided else "wheelset in force", serials, read)
+        return [record for _, record in sorted(by_serial.items())]
 
     def wheelset(self, serial: str) -> WheelsetRecord:
         """Return one wheelset, with the mounting that lasts and its reprofilings; raises NotFoundError."""
-        found = self.wheelsets_of([serial])
-        if not found:
-            raise NotFoundError("wheelset", serial)
-        return found[0]
+        return present(next(iter(self.wheelsets_of([serial])), None), "wheelset", serial)
 
     def mounting_at(self, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
         """Return which wheelset ran at an axle at a time of the vehicle's clock."""
@@ -149,8 +147,12 @@ class RegistryStore:
 
     def mountings_on(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[Mounting]:
         """Return every mounting on a vehicle that covers some of ``[from_ns, to_ns)``, by axle and start."""
-        own = self._mountings_by_vehicle([vehicle]).get(vehicle, ())
-        return [one for one in own if one.from_ns < to_ns and (one.to_ns is None or one.to_ns > from_ns)]
+        mountings = self._mountings_by_vehicle([vehicle]).get(vehicle, ())
+        return [
+            mounting
+            for mounting in mountings
+            if mounting.from_ns < to_ns and (mounting.to_ns is None or mounting.to_ns > from_ns)
+        ]
 
     def mountings(self, wheelset: str) -> Sequence[Mounting]:
         """Return every mounting of a wheelset, oldest first."""
@@ -162,17 +164,16 @@ class RegistryStore:
 
     def mounted_on(self, vehicles: Collection[str]) -> Sequence[Mounting]:
         """Return the mountings on some vehicles that last, by vehicle and axle."""
-        own = self._mountings_by_vehicle(sorted(vehicles))
-        return [one for vehicle in sorted(own) for one in own[vehicle] if one.to_ns is None]
+        by_vehicle = sorted(self._mountings_by_vehicle(sorted(vehicles)).items())
+        return [mounting for _, mountings in by_vehicle for mounting in mountings if mounting.to_ns is None]
 
     def _mountings_by_vehicle(self, vehicles: Collection[str]) -> Mapping[str, Sequence[Mounting]]:
         def read(some: Collection[str]) -> Mapping[str, Sequence[Mounting]]:
             statement = select(MOUNTINGS).where(MOUNTINGS.c.vehicle.in_(some))
-            rows = self.connection.execute(statement.order_by(MOUNTINGS.c.axle, MOUNTINGS.c.from_ns))
-            found: dict[str, list[Mounting]] = {}
-            for row in rows:
-                found.setdefault(row.vehicle, []).append(value_of_row(Mounting, row))
-            return found
+            by_vehicle: dict[str, list[Mounting]] = {}
+            for row in self.connection.execute(statement.order_by(MOUNTINGS.c.axle, MOUNTINGS.c.from_ns)):
+                by_vehicle.setdefault(row.vehicle, []).append(value_of_row(Mounting, row))
+            return by_vehicle
 
         return self.once.of("mountings of vehicle", vehicles, read)
 
@@ -206,17 +207,17 @@ class RegistryStore:
     def vehicle_class(self, code: str, version: int | None = None) -> ClassOnFile | None:
         """Return the newest version of a class, or the one given; of the package where none is registered."""
         if version is None:
-            found = self.once.of("class", [code], partial(newest_classes, self.connection)).get(code)
+            registered = self.once.of("class", [code], partial(newest_classes, self.connection)).get(code)
         else:
-            found = find_class(self.connection, code, version)
-        if found is not None or version not in {None, SHIPPED_VERSION}:
-            return found
+            registered = find_class(self.connection, code, version)
+        if registered is not None or version not in {None, SHIPPED_VERSION}:
+            return registered
         of_package = self.shipped(code)
         return None if of_package is None else ClassOnFile(of_package)
 
     def vehicle_classes(self) -> Sequence[ClassOnFile]:
         """Return the newest version of every registered class, by code."""
-        return [found for _, found in sorted(newest_classes(self.connection).items())]
+        return [on_file for _, on_file in sorted(newest_classes(self.connection).items())]
 
     def add_vehicle_class(self, vehicle_class: VehicleClass, recorded_ns: int) -> EstimatedAgain:
         """Add a class, or a version where its content is new; return what another motion estimates again."""
@@ -241,7 +242,7 @@ class RegistryStore:
     def add_vehicle(self, record: VehicleRecord, recorded_ns: int | None = None) -> EstimatedAgain:
         """Add a vehicle or change it; return what is estimated again because it is of another class now."""
         serialise(self.connection, Subject.REGISTRY)
-        self._known_fleet(record.fleet)
+        self._require_fleet(record.fleet)
         row = row_of(self.connection, VEHICLES, record.code)
         was = None if row is None else value_of_row(VehicleRecord, row)
         values = columns_of(record)
@@ -270,7 +271,7 @@ class RegistryStore:
     def add_wheelset(self, record: WheelsetRecord, recorded_ns: int | None = None) -> EstimatedAgain:
         """Add a wheelset with what it carries, or change it; return what another nominal radius estimates again."""
         serialise(self.connection, Subject.REGISTRY)
-        self._known_fleet(record.fleet)
+        self._require_fleet(record.fleet)
         values = columns_of(record, "mounting", "reprofilings")
         row = row_of(self.connection, WHEELSETS, record.serial)
         was = None if row is None else row["nominal_radius_m"]
@@ -292,13 +293,13 @@ class RegistryStore:
     def take_out(self, records: Sequence[Mounting]) -> dict[tuple[str, int], Mounting]:
         """Remove the mountings that others of the same wheelset and start will replace; return them by those."""
         serialise(self.connection, Subject.REGISTRY)
-        found = {}
+        taken_out = {}
         for record in records:
             was = mounting_on_file(self.connection, record)
             if was is not None and was != record:
                 delete_row(self.connection, MOUNTINGS, was.wheelset, was.from_ns)
-                found[record.wheelset, record.from_ns] = was
-        return found
+                taken_out[record.wheelset, record.from_ns] = was
+        return taken_out
 
     def add_mounting(self, record: Mounting, before: Mounting | None = None, recorded_ns: int | None = None) -> None:
         """Add a mounting, or change the one of the same wheelset and start (to end it, for one).
@@ -312,7 +313,7 @@ class RegistryStore:
             ConflictError: The wheelset or the axle is in another mounting at that time.
         """
         serialise(self.connection, Subject.REGISTRY)
-        self._known_wheelset(record.wheelset)
+        self._require_wheelset(record.wheelset)
         was = before or mounting_on_file(self.connection, record)
         if add_mounting(self.connection, record, self.vehicle(record.vehicle).axles):
             self.mounting_changed(was, record, recorded_ns)
@@ -338,7 +339,7 @@ class RegistryStore:
     def add_reprofiling(self, record: Reprofiling, recorded_ns: int | None = None) -> bool:
         """Add a visit to the lathe, or change the one of that wheelset and time; return whether anything changed."""
         serialise(self.connection, Subject.REGISTRY)
-        self._known_wheelset(record.wheelset)
+        self._require_wheelset(record.wheelset)
         was = row_of(self.connection, REPROFILINGS, record.wheelset, record.at_ns)
         if not upsert(self.connection, REPROFILINGS, asdict(record)):
             return False
@@ -348,7 +349,7 @@ class RegistryStore:
     def add_measured_profiles(self, record: MeasuredProfiles, recorded_ns: int | None = None) -> bool:
         """Add measured profiles, or change those of that wheelset and time; return whether anything changed."""
         serialise(self.connection, Subject.REGISTRY)
-        self._known_wheelset(record.wheelset)
+        self._require_wheelset(record.wheelset)
         was = stored_measurement(self.connection, record.wheelset, record.at_ns)
         if not store_measured_profiles(self.connection, record):
             return False
@@ -378,17 +379,11 @@ class RegistryStore:
             for row in rows
         ]
 
-    def _known_fleet(self, code: str) -> None:
-        if row_of(self.connection, FLEETS, code) is None:
-            raise NotFoundError("fleet", code)
+    def _require_fleet(self, code: str) -> None:
+        present(row_of(self.connection, FLEETS, code), "fleet", code)
 
-    def _known_wheelset(self, serial: str) -> None:
-        if row_of(self.connection, WHEELSETS, serial) is None:
-            raise NotFoundError("wheelset", serial)
-
-
-def _in_fleet(statement: Select[Any], column: Any, fleet: str | None) -> Select[Any]:  # noqa: ANN401 - any column
-    return statement if fleet is None else statement.where(column == fleet)
+    def _require_wheelset(self, serial: str) -> None:
+        present(row_of(self.connection, WHEELSETS, serial), "wheelset", serial)
 
 
 def _still_there(was: Mounting | None, now: Mounting | None, from_ns: int, to_ns: int | None) -> bool:

@@ -13,7 +13,7 @@ from estimation.values.fields import JsonValue
 from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass, class_digest, class_document, class_of_document
 from fleet_db.records import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.rows import columns_of, equal, given, table_of, value_of_row
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import RaisingStore
 from fleet_db.tables.registry import RegistryEventRow, VehicleClassRow, VehicleRow
 
 EVENTS, VEHICLES, CLASSES = table_of(RegistryEventRow), table_of(VehicleRow), table_of(VehicleClassRow)
@@ -31,12 +31,8 @@ class RecordKey:
     at_ns: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class RegistryHistoryStore:
+class RegistryHistoryStore(RaisingStore):
     """Decisions, in one transaction; what rests on a record follows each change of it, noted or not."""
-
-    connection: Connection
-    subjects: Subjects
 
     def note(
         self,
@@ -93,11 +89,7 @@ class RegistryHistoryStore:
                 self.subjects.vehicle_on_file(vehicle)
 
     def list(
-        self,
-        subject: str | None = None,
-        after: int | None = None,
-        limit: int = 1000,
-        kind: RecordKind | None = None,
+        self, subject: str | None = None, after: int | None = None, limit: int = 1000, kind: RecordKind | None = None
     ) -> Sequence[RegistryEvent]:
         """Return at most ``limit`` decisions, on one wheelset, vehicle, class or section or on all, oldest first."""
         chosen = [*equal(EVENTS, kind=kind, subject=subject), *given(after, EVENTS.c.id.__gt__)]
@@ -109,8 +101,7 @@ def stands_voided(connection: Connection, key: RecordKey) -> RegistryEvent | Non
     """Return the decision by which an undated record was voided and that none has restored since."""
     chosen = (EVENTS.c.kind == key.kind.value, EVENTS.c.subject == key.subject, EVENTS.c.action.in_(_VOID_OR_NOT))
     row = connection.execute(select(EVENTS).where(*chosen).order_by(EVENTS.c.id.desc()).limit(1)).first()
-    found = None if row is None else value_of_row(RegistryEvent, row)
-    return found if found is not None and found.action is RecordAction.VOIDED else None
+    return None if row is None or row.action != RecordAction.VOIDED.value else value_of_row(RegistryEvent, row)
 
 
 def last_voided(kind: RecordKind, subject: ColumnElement[str]) -> ScalarSelect[Mapping[str, JsonValue]]:
@@ -146,14 +137,12 @@ def find_class(connection: Connection, code: str, version: int | None) -> ClassO
 def newest_classes(connection: Connection, codes: Collection[str] | None = None) -> dict[str, ClassOnFile]:
     """Return the newest version of classes by code, of some or of all, without voided ones. Raises DamagedError."""
     newest = select(CLASSES.c.code, func.max(CLASSES.c.version).label("version")).group_by(CLASSES.c.code)
-    if codes is not None:
-        newest = newest.where(CLASSES.c.code.in_(codes))
-    of_newest = newest.subquery()
+    of_newest = newest.where(*given(codes, CLASSES.c.code.in_)).subquery()
     statement = select(CLASSES, last_voided(RecordKind.VEHICLE_CLASS, CLASSES.c.code).label("voided")).join(
         of_newest, (of_newest.c.code == CLASSES.c.code) & (of_newest.c.version == CLASSES.c.version)
     )
-    found = {row.code: (_on_file(row), row.voided) for row in connection.execute(statement)}
-    return {code: on_file for code, (on_file, voided) in found.items() if not _is(on_file, voided)}
+    classes = {row.code: (_on_file(row), row.voided) for row in connection.execute(statement)}
+    return {code: on_file for code, (on_file, voided) in classes.items() if not _is(on_file, voided)}
 
 
 def taken_out(connection: Connection, newest: ClassOnFile) -> bool:
@@ -173,13 +162,8 @@ def store_class(connection: Connection, vehicle_class: VehicleClass, recorded_ns
     if newest is not None and newest.digest == class_digest(vehicle_class):
         return newest
     stored = ClassOnFile(vehicle_class, 1 if newest is None else newest.version + 1, recorded_ns)
-    values = {
-        "code": vehicle_class.code,
-        "version": stored.version,
-        "document": class_document(vehicle_class),
-        "recorded_ns": recorded_ns,
-    }
-    connection.execute(insert(CLASSES).values(**values))
+    values = {"code": vehicle_class.code, "version": stored.version, "recorded_ns": recorded_ns}
+    connection.execute(insert(CLASSES).values(**values, document=class_document(vehicle_class)))
     return stored
 
 

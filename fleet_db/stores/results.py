@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 import orjson
 from sqlalchemy import Connection, Row, Select, bindparam, case, delete, false, insert, or_, select, update
@@ -17,7 +17,7 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import AnyResult, History, Result, ResultKind
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_value, unpack_value
-from fleet_db.rows import reason_columns, stored_reason, table_of
+from fleet_db.rows import columns_of, stored_reason, table_of
 from fleet_db.session import to_json
 from fleet_db.subjects import ReadOnce, Subjects
 from fleet_db.tables.operation import ResultRow
@@ -72,8 +72,8 @@ class ResultStore:
                 rows.clear()
                 wanted.setdefault((kind.stage, subject), []).append((parts, rows))
         chosen = [_chosen(kind, subjects, None, parts).whereclause for kind, subjects, parts in asked]
-        found = select(RESULTS).where(or_(*(one for one in chosen if one is not None)))
-        for row in self.connection.execute(found.order_by(RESULTS.c.subject, RESULTS.c.part)):
+        results = select(RESULTS).where(or_(*(condition for condition in chosen if condition is not None)))
+        for row in self.connection.execute(results.order_by(RESULTS.c.subject, RESULTS.c.part)):
             for parts, rows in wanted.get((row.stage, row.subject), ()):
                 if parts is None or parts[0] <= row.part <= parts[1]:
                     rows.append(row)
@@ -95,20 +95,20 @@ class ResultStore:
         """
         ahead = [self._ahead.get((kind.stage, subject, parts)) for subject in sorted(subjects or ())]
         if ahead and as_of_ns is None and None not in ahead:
-            own = [row for rows in ahead for row in rows or ()]
+            read = [row for rows in ahead for row in rows or ()]
             if kind.one_in_force:
-                own.sort(key=lambda row: (row.recorded_ns, row.result_id), reverse=True)
-            return [_result(kind, row) for row in own]
+                read.sort(key=lambda row: (row.recorded_ns, row.result_id), reverse=True)
+            return [_result(kind, row) for row in read]
         order = NEWEST_FIRST if kind.one_in_force else (RESULTS.c.subject, RESULTS.c.part)
         statement = _chosen(kind, subjects, as_of_ns, parts).order_by(*order)
         return [_result(kind, row) for row in self.connection.execute(statement)]
 
     def numbers(self, kind: ResultKind[Any], parts: Mapping[str, Parts]) -> Sequence[tuple[str, str, int]]:
         """Return subject, part and number of what is in force, of parts of each of some subjects."""
-        chosen = [_chosen(kind, [subject], None, own).whereclause for subject, own in parts.items()]
-        found = select(RESULTS.c.subject, RESULTS.c.part, RESULTS.c.result_id)
-        rows = self.connection.execute(found.where(or_(false(), *(one for one in chosen if one is not None))))
-        return [(row.subject, row.part, row.result_id) for row in rows]
+        chosen = [_chosen(kind, [subject], None, of_subject).whereclause for subject, of_subject in parts.items()]
+        one_of = or_(false(), *(condition for condition in chosen if condition is not None))
+        numbers = select(RESULTS.c.subject, RESULTS.c.part, RESULTS.c.result_id).where(one_of)
+        return [(row.subject, row.part, row.result_id) for row in self.connection.execute(numbers)]
 
     def heads(
         self, kind: ResultKind[Any], subjects: Collection[str] | None, parts: Parts | None = None
@@ -135,8 +135,8 @@ class ResultStore:
         """Return what :meth:`latest` does now, without value and parameters."""
 
         def read(some: Collection[str]) -> Mapping[str, Result[V]]:
-            found = _in_force(kind, some).with_only_columns(*OF_HEAD).order_by(RESULTS.c.result_id)
-            return {row.subject: _result(kind, row, whole=False) for row in self.connection.execute(found)}
+            heads = _in_force(kind, some).with_only_columns(*OF_HEAD).order_by(RESULTS.c.result_id)
+            return {row.subject: _result(kind, row, whole=False) for row in self.connection.execute(heads)}
 
         return self.once.of_wheelsets(f"head {kind.stage}", [subject], read).get(subject)
 
@@ -148,8 +148,8 @@ class ResultStore:
 
     def having(self, kind: ResultKind[Any], subjects: Collection[str], parts: Parts | None = None) -> frozenset[str]:
         """Return which of some subjects have a result."""
-        found = _chosen(kind, subjects, None, parts).with_only_columns(RESULTS.c.subject)
-        return frozenset(self.connection.scalars(found))
+        with_result = _chosen(kind, subjects, None, parts).with_only_columns(RESULTS.c.subject)
+        return frozenset(self.connection.scalars(with_result))
 
     def made_from(self, kind: ResultKind[Any]) -> Mapping[str, tuple[str, str]]:
         """Return by subject what the results in force are made from, and by which version of the numerics."""
@@ -172,7 +172,8 @@ class ResultStore:
         before = self._before(kind, results)
         news = []
         for result in results:
-            was, values = before.get(_key(kind, result)), _values(kind, result)
+            was = before.get((result.subject, "" if kind.one_in_force else result.part))
+            values = _values(kind, result)
             if was is None or any(getattr(was, name) != values[name] for name in SAME_INPUTS):
                 values["recorded_ns"] = max(result.recorded_ns, 0 if was is None else was.recorded_ns)
                 news.append((result, values, was))
@@ -191,14 +192,13 @@ class ResultStore:
         """Put all results that there are of a kind without history; those of other subjects are removed."""
         self.put_all(kind, results)
         self._ahead.clear()
-        known = self.connection.scalars(select(RESULTS.c.subject).where(RESULTS.c.stage == kind.stage).distinct())
-        gone = set(known) - {result.subject for result in results}
+        of_kind = RESULTS.c.stage == kind.stage
+        stored = self.connection.scalars(select(RESULTS.c.subject).where(of_kind).distinct())
+        gone = set(stored) - {result.subject for result in results}
         if gone:
-            self.connection.execute(
-                delete(RESULTS).where(RESULTS.c.stage == kind.stage, RESULTS.c.subject.in_(sorted(gone)))
-            )
-            for subject in gone:
-                self.subjects.raised(kind.subject, subject, kind.stage)
+            self.connection.execute(delete(RESULTS).where(of_kind, RESULTS.c.subject.in_(sorted(gone))))
+        for subject in gone:
+            self.subjects.raised(kind.subject, subject, kind.stage)
 
     def _before(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> Mapping[tuple[str, str], Row[Any]]:
         """Return what stands in the place of each result, by subject and part; of ``one_in_force`` that put last."""
@@ -210,11 +210,11 @@ class ResultStore:
 
     def _append(self, news: Sequence[tuple[Mapping[str, Any], Row[Any] | None]]) -> None:
         names = ("stage", "subject", "part", "recorded_ns")
-        given = [{f"of_{name}": values[name] for name in names} for values, was in news if was is not None]
-        if given:
+        followed = [{f"of_{name}": values[name] for name in names} for values, was in news if was is not None]
+        if followed:
             same = [RESULTS.c[name] == bindparam(f"of_{name}") for name in ("stage", "subject", "part")]
             ended = update(RESULTS).where(*same, RESULTS.c.superseded_ns.is_(None))
-            self.connection.execute(ended.values(superseded_ns=bindparam("of_recorded_ns")), given)
+            self.connection.execute(ended.values(superseded_ns=bindparam("of_recorded_ns")), followed)
         if news:
             self.connection.execute(insert(RESULTS), [values for values, _ in news])
 
@@ -229,13 +229,9 @@ class ResultStore:
             self.connection.execute(changed.values({name: bindparam(name) for name in names}), again)
 
 
-def _key(kind: ResultKind[Any], result: AnyResult) -> tuple[str, str]:
-    return result.subject, "" if kind.one_in_force else result.part
-
-
 def _in_force(kind: ResultKind[Any], subjects: Collection[str] | None) -> Select[Any]:
-    found = select(RESULTS).where(RESULTS.c.stage == kind.stage, RESULTS.c.superseded_ns.is_(None))
-    return found if subjects is None else found.where(RESULTS.c.subject.in_(sorted(subjects)))
+    in_force = select(RESULTS).where(RESULTS.c.stage == kind.stage, RESULTS.c.superseded_ns.is_(None))
+    return in_force if subjects is None else in_force.where(RESULTS.c.subject.in_(sorted(subjects)))
 
 
 def _chosen(
@@ -261,19 +257,12 @@ def _as_of(kind: ResultKind[Any], subjects: Collection[str] | None, as_of_ns: in
 
 
 def _values(kind: ResultKind[Any], result: AnyResult) -> dict[str, Any]:
-    return {
+    return columns_of(result, "number", "value", "head", "parameters") | {
         "stage": kind.stage,
         "kind": kind.subject.value,
-        "subject": result.subject,
-        "part": result.part,
-        "made_from": result.made_from,
-        "numerics": result.numerics,
-        "status": result.status.value,
-        **reason_columns(result.reason),
         "head": None if result.head is None else json.dumps(result.head, separators=(",", ":"), allow_nan=False),
         "value": None if result.value is None else pack_value(result.value),
         "parameters": json.loads(to_json(dict(result.parameters))),
-        "recorded_ns": result.recorded_ns,
         "superseded_ns": None,
     }
 
@@ -297,7 +286,6 @@ def _result(kind: ResultKind[V], row: Row[Any], *, whole: bool = True) -> Result
 
 def _head(text: str | None, where: str) -> JsonValue:
     try:
-        head: JsonValue = None if text is None else orjson.loads(text)
+        return None if text is None else cast("JsonValue", orjson.loads(text))
     except ValueError as error:
         raise DamagedError(f"head of {where}: damaged ({error})") from error
-    return head

@@ -14,7 +14,7 @@ from estimation.values.roll_up import RolledPart, RollingSums, RollUp, RollUpKey
 from estimation.values.windows import WindowKey
 from fleet_db.fields import fields_of, value_of
 from fleet_db.packed_values import pack_bin_table, pack_rolling_sums, unpack_bin_table, unpack_rolling_sums
-from fleet_db.rows import by_wheelset, columns_of, put_rows, replace_all, table_of, value_of_row
+from fleet_db.rows import batches, by_wheelset, columns_of, put_rows, replace_all, table_of, value_of_row
 from fleet_db.stores.window_rows import keys_given
 from fleet_db.subjects import ReadOnce
 from fleet_db.tables.registry import WheelsetRow
@@ -23,7 +23,6 @@ from fleet_db.tables.windows import RollingSumsRow, RollUpRow, RollUpStateRow, W
 ROLL_UPS, STATES, ROLLING = table_of(RollUpRow), table_of(RollUpStateRow), table_of(RollingSumsRow)
 TABLES, WINDOWS, WHEELSETS = table_of(WindowBinTableRow), table_of(WindowRow), table_of(WheelsetRow)
 STATE = "roll-up state"
-BATCH = 500  # numbers in a statement
 OWN = ("number", "windows", "content", "first_ns", "last_ns", "sealed")  # columns beside those of the key
 KNOWN = (*OWN, "baseline", "baseline_interval", "side", "table_key", "vehicle_class", "summary")
 
@@ -51,16 +50,20 @@ class RollUpStore:
         def read(some: Collection[str]) -> Mapping[str, Sequence[RollUp]]:
             columns = (ROLL_UPS.c.wheelset, *(ROLL_UPS.c[name] for name in KNOWN))
             statement = select(*columns).where(ROLL_UPS.c.wheelset.in_(some)).order_by(ROLL_UPS.c.number)
-            return by_wheelset(self.connection.execute(statement), _roll_up)
+            return by_wheelset(self.connection.execute(statement), roll_up)
+
+        def roll_up(row: Row[Any]) -> RollUp:
+            key = value_of_row(RollUpKey, row, interval=row.baseline_interval)
+            return value_of(RollUp, row.summary, {}, key=key, **{name: getattr(row, name) for name in OWN})
 
         return self.once.of_wheelset("roll-ups", wheelset, read) or ()
 
     def sums(self, number: int) -> tuple[BinTable, BinTable]:
         """Return the sums of a roll-up, plain and with forgetting (zero where forgotten); raises DamagedError."""
-        found = self.once.known("sums", number) or self._sums([number])[number]
+        packed, forgetting = self.once.known("sums", number) or self._sums([number])[number]
         where = f"roll-up {number}"
-        plain = unpack_bin_table(found[0], where=where)
-        return plain, plain.without_samples if found[1] is None else unpack_bin_table(found[1], where=where)
+        plain = unpack_bin_table(packed, where=where)
+        return plain, plain.without_samples if forgetting is None else unpack_bin_table(forgetting, where=where)
 
     def read_ahead(self, numbers: Collection[int], rolling: Collection[WindowKey]) -> None:
         """Read together what :meth:`sums` and :meth:`rolling` are asked for one by one afterwards."""
@@ -87,14 +90,14 @@ class RollUpStore:
     def put(self, parts: Mapping[str, Sequence[RolledPart]], now_ns: int) -> None:
         """Store roll-ups of wheelsets with their sums; raises ConflictError where one is another by now."""
         new = []
-        for wheelset, part in ((wheelset, part) for wheelset, own in parts.items() for part in own):
+        for wheelset, part in ((wheelset, part) for wheelset, of_wheelset in parts.items() for part in of_wheelset):
             values = _with_sums(wheelset, part)
             if part.roll_up.number is None:
                 new.append(values)
             else:
                 self._change(part, part.roll_up.number, values)
             if part.roll_up.sealed and part.added:
-                self._purge([(wheelset, one.start_ns) for one in part.added], now_ns)
+                self._purge([(wheelset, window.start_ns) for window in part.added], now_ns)
         if new:
             self.connection.execute(insert(ROLL_UPS), new)
 
@@ -108,11 +111,10 @@ class RollUpStore:
             raise ConflictError(f"roll-up {number} changed", kind="roll-up", key=str(number))
 
     def _purge(self, keys: Sequence[WindowKey], now_ns: int) -> None:
-        for first in range(0, len(keys), BATCH):
-            some = {"keys": keys[first : first + BATCH]}
-            purged = update(WINDOWS).where(keys_given(WINDOWS)).values(table_purged_ns=now_ns)
-            self.connection.execute(purged, some)
-            self.connection.execute(delete(TABLES).where(keys_given(TABLES)), some)
+        purged = update(WINDOWS).where(keys_given(WINDOWS)).values(table_purged_ns=now_ns)
+        for some in batches(keys):
+            self.connection.execute(purged, {"keys": some})
+            self.connection.execute(delete(TABLES).where(keys_given(TABLES)), {"keys": some})
 
     def put_states(
         self, states: Mapping[str, RollUpState], earlier: Mapping[str, tuple[str, BinTable]] | None = None
@@ -144,14 +146,14 @@ class RollUpStore:
 
     def forget(self, wheelset: str, roll_ups: Sequence[int]) -> None:
         """Delete the sums with forgetting of those of some roll-ups that are sealed: what is added has no weight."""
-        for first in range(0, len(roll_ups), BATCH):
-            some = ROLL_UPS.c.number.in_(roll_ups[first : first + BATCH])
-            kept = (ROLL_UPS.c.wheelset == wheelset, ROLL_UPS.c.sealed, ROLL_UPS.c.forgetting.is_not(None))
-            self.connection.execute(update(ROLL_UPS).where(some, *kept).values(forgetting=None))
+        kept = (ROLL_UPS.c.wheelset == wheelset, ROLL_UPS.c.sealed, ROLL_UPS.c.forgetting.is_not(None))
+        for some in batches(roll_ups):
+            forgotten = update(ROLL_UPS).where(ROLL_UPS.c.number.in_(some), *kept)
+            self.connection.execute(forgotten.values(forgetting=None))
 
     def rolling(self, wheelset: str, windows: Mapping[int, str], assumed: str) -> Mapping[int, tuple[RollingSums, ...]]:
         """Return by start what windows (digest by start) say of their rolling radius, where that was so assumed."""
-        rows = self.once.of("rolling sums", [(wheelset, at) for at in windows], self._rolling)
+        rows = self.once.of("rolling sums", [(wheelset, start_ns) for start_ns in windows], self._rolling)
         return {
             row.start_ns: unpack_rolling_sums(row.packed, where=f"rolling sums of {wheelset}@{row.start_ns}")
             for row in rows.values()
@@ -159,52 +161,47 @@ class RollUpStore:
         }
 
     def _rolling(self, keys: Collection[WindowKey]) -> Mapping[WindowKey, Row[Any]]:
-        own = tuple_(ROLLING.c.wheelset, ROLLING.c.start_ns).in_(keys)
-        return {(row.wheelset, row.start_ns): row for row in self.connection.execute(select(ROLLING).where(own))}
+        of_keys = select(ROLLING).where(tuple_(ROLLING.c.wheelset, ROLLING.c.start_ns).in_(keys))
+        return {(row.wheelset, row.start_ns): row for row in self.connection.execute(of_keys)}
 
-    def put_rolling(self, found: Sequence[WindowRollingSums]) -> None:
+    def put_rolling(self, sums: Sequence[WindowRollingSums]) -> None:
         """Keep what windows say of their rolling radius, in the place of what was known of them."""
-        rows = [columns_of(one, "parts") | {"packed": pack_rolling_sums(one.parts)} for one in found]
+        rows = [columns_of(window, "parts") | {"packed": pack_rolling_sums(window.parts)} for window in sums]
         put_rows(self.connection, ROLLING, sorted(rows, key=lambda row: (row["wheelset"], row["start_ns"])))
 
     def newest_chosen(self, wheelsets: Sequence[str]) -> Mapping[str, Sequence[str]]:
         """Return by wheelset the digests of the windows behind its newest roll-up, and of later ones beside it."""
-        own = ROLL_UPS.alias("own")
-        last = select(func.max(own.c.number)).where(own.c.wheelset == WHEELSETS.c.serial).scalar_subquery()
+        newest = ROLL_UPS.alias("newest")
+        last = select(func.max(newest.c.number)).where(newest.c.wheelset == WHEELSETS.c.serial).scalar_subquery()
         later = or_(ROLL_UPS.c.last_ns.is_(None), ROLLING.c.start_ns > ROLL_UPS.c.last_ns)
         joined = WHEELSETS.outerjoin(ROLL_UPS, ROLL_UPS.c.number == last)
         joined = joined.outerjoin(ROLLING, and_(ROLLING.c.wheelset == WHEELSETS.c.serial, later))
         chosen = select(WHEELSETS.c.serial, ROLL_UPS.c.summary, ROLLING.c.window_digest).select_from(joined)
-        found: dict[str, list[str]] = {}
-        for serial, summary, digest in self.connection.execute(chosen.where(WHEELSETS.c.serial.in_(wheelsets))):
-            if serial not in found:
-                found[serial] = [] if summary is None else [chosen_digest for chosen_digest, _ in summary["chosen"]]
-            if digest is not None:
-                found[serial].append(digest)
-        return found
+        digests: dict[str, list[str]] = {}
+        for serial, summary, later_digest in self.connection.execute(chosen.where(WHEELSETS.c.serial.in_(wheelsets))):
+            if serial not in digests:
+                digests[serial] = [] if summary is None else [digest for digest, _ in summary["chosen"]]
+            if later_digest is not None:
+                digests[serial].append(later_digest)
+        return digests
 
     def keep_rolling(self, starts: Mapping[str, Sequence[int]]) -> None:
         """Forget what windows of wheelsets other than these say of their rolling radius."""
         others = [
-            and_(ROLLING.c.wheelset == wheelset, ROLLING.c.start_ns.not_in(own)) for wheelset, own in starts.items()
+            and_(ROLLING.c.wheelset == wheelset, ROLLING.c.start_ns.not_in(kept)) for wheelset, kept in starts.items()
         ]
         if others:
             self.connection.execute(delete(ROLLING).where(or_(*others)))
 
 
 def _with_sums(wheelset: str, part: RolledPart) -> dict[str, Any]:
-    roll_up, key = part.roll_up, columns_of(part.roll_up.key, "interval")
+    roll_up = part.roll_up
     return {
         "wheelset": wheelset,
-        **key,
+        **columns_of(roll_up.key, "interval"),
         "baseline_interval": roll_up.key.interval,
         **{name: getattr(roll_up, name) for name in OWN if name != "number"},
         "summary": fields_of(roll_up, without={"key", *OWN})[0],
         "plain": pack_bin_table(part.plain),
         "forgetting": pack_bin_table(part.forgetting),
     }
-
-
-def _roll_up(row: Row[Any]) -> RollUp:
-    key = value_of_row(RollUpKey, row, interval=row.baseline_interval)
-    return value_of(RollUp, row.summary, {}, key=key, **{name: getattr(row, name) for name in OWN})

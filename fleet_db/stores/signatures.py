@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
 
-from sqlalchemy import Connection, Row, and_, delete, func, or_, select, tuple_
+from sqlalchemy import and_, delete, func, or_, select, tuple_
 
 from estimation.errors import DamagedError
 from estimation.values.runs import SubjectKind
@@ -15,11 +13,12 @@ from estimation.values.signatures import SIGNATURES as STAGE
 from estimation.values.windows import WindowKey
 from fleet_db.due import list_due, windows_changed
 from fleet_db.packed_values import pack_signatures, unpack_signatures
-from fleet_db.rows import put_rows, reason_columns, stored_reason, table_of
-from fleet_db.subjects import Subjects
+from fleet_db.rows import batches, columns_of, put_rows, table_of, value_of_row
+from fleet_db.subjects import RaisingStore
 from fleet_db.tables.windows import WearSignatureRow, WindowRow
 
 SIGNATURES, WINDOWS = table_of(WearSignatureRow), table_of(WindowRow)
+KEY = tuple_(SIGNATURES.c.wheelset, SIGNATURES.c.start_ns)
 SAME = and_(SIGNATURES.c.wheelset == WINDOWS.c.wheelset, SIGNATURES.c.start_ns == WINDOWS.c.start_ns)
 SPEED_BAND = 5  # m/s
 NEWEST = 24  # windows of a wheelset on a section in a band of speed that the library may use
@@ -27,29 +26,23 @@ TOGETHER = 100
 """Conditions in a statement: SQLite takes no more than a thousand, one behind the other."""
 
 
-@dataclass(frozen=True, slots=True)
-class SignatureStore:
+class SignatureStore(RaisingStore):
     """Wear signatures of windows."""
-
-    connection: Connection
-    subjects: Subjects
 
     def made_of(self, keys: Sequence[WindowKey]) -> Mapping[WindowKey, MadeOf]:
         """Return what the signatures of windows are made from, of those that have been looked at."""
         names = ("wheelset", "start_ns", "window_digest", "assumed", "reason_code")
-        own = tuple_(SIGNATURES.c.wheelset, SIGNATURES.c.start_ns).in_(keys)
-        rows = self.connection.execute(select(*(SIGNATURES.c[name] for name in names)).where(own))
-        others = {code.value for code in OF_OTHERS}
+        rows = self.connection.execute(select(*(SIGNATURES.c[name] for name in names)).where(KEY.in_(keys)))
         return {
-            (row.wheelset, row.start_ns): MadeOf(row.window_digest, row.assumed, row.reason_code in others)
-            for row in rows
+            (serial, start_ns): MadeOf(digest, assumed, code in OF_OTHERS)
+            for serial, start_ns, digest, assumed, code in rows
         }
 
-    def put_all(self, found: Sequence[WindowSignatures]) -> None:
+    def put_all(self, looked_at: Sequence[WindowSignatures]) -> None:
         """Store what became of windows, in the place of what was stored of them."""
-        put_rows(self.connection, SIGNATURES, [_values(one) for one in found])
-        for one in found:
-            self.subjects.raised(SubjectKind.WHEELSET, one.wheelset, STAGE)
+        put_rows(self.connection, SIGNATURES, [_values(window) for window in looked_at])
+        for window in looked_at:
+            self.subjects.raised(SubjectKind.WHEELSET, window.wheelset, STAGE)
 
     def vehicles(self, wheelsets: Sequence[str]) -> Sequence[tuple[str, str]]:
         """Return wheelset and vehicle of the windows with samples of some wheelsets."""
@@ -60,9 +53,9 @@ class SignatureStore:
 
     def list_other(self, expected: Sequence[tuple[str, str, str]]) -> None:
         """List the windows whose signatures were not made with the digest expected of their wheelset and vehicle."""
-        for first in range(0, len(expected), TOGETHER):
+        for some in batches(expected, TOGETHER):
             others = []
-            for wheelset, vehicle, assumed in expected[first : first + TOGETHER]:
+            for wheelset, vehicle, assumed in some:
                 made = select(SIGNATURES.c.places).where(SAME, SIGNATURES.c.assumed == assumed)
                 others.append(and_(WINDOWS.c.wheelset == wheelset, WINDOWS.c.vehicle == vehicle, ~made.exists()))
             list_due(self.connection, STAGE, and_(WINDOWS.c.samples_purged_ns.is_(None), or_(*others)))
@@ -84,50 +77,33 @@ class SignatureStore:
             WINDOWS.c.implausible_code.is_(None),
         )
         newest = keys.subquery()
-        own = and_(newest.c.wheelset == SIGNATURES.c.wheelset, newest.c.start_ns == SIGNATURES.c.start_ns)
-        statement = select(SIGNATURES, newest.c.mileage_km).select_from(SIGNATURES.join(newest, own))
+        same = and_(newest.c.wheelset == SIGNATURES.c.wheelset, newest.c.start_ns == SIGNATURES.c.start_ns)
+        statement = select(SIGNATURES, newest.c.mileage_km).select_from(SIGNATURES.join(newest, same))
         statement = statement.where(newest.c.age <= NEWEST)
         rows = self.connection.execute(statement.order_by(SIGNATURES.c.wheelset, SIGNATURES.c.start_ns))
-        known, damaged = [], []
+        readable, damaged = [], []
         for row in rows:
             try:
-                known.append(KnownSignatures(_of_window(row), row.mileage_km))
+                signatures = unpack_signatures(row.packed, row.wheelset, row.start_ns)
+                of_window = value_of_row(WindowSignatures, row, signatures=signatures)
+                readable.append(KnownSignatures(of_window, row.mileage_km))
             except DamagedError as error:
                 damaged.append((row.wheelset, row.start_ns, str(error)))
-        return StoredSignatures(known, damaged)
+        return StoredSignatures(readable, damaged)
 
     def drop(self, keys: Sequence[WindowKey]) -> None:
         """Remove what is stored of windows, so that it is made again where their samples are there."""
         if keys:
-            own = tuple_(SIGNATURES.c.wheelset, SIGNATURES.c.start_ns).in_(keys)
-            self.connection.execute(delete(SIGNATURES).where(own))
+            self.connection.execute(delete(SIGNATURES).where(KEY.in_(keys)))
             windows_changed(self.connection, keys, (STAGE,))
 
 
-def _values(one: WindowSignatures) -> dict[str, object]:
-    first = one.signatures[0] if one.signatures else None
+def _values(window: WindowSignatures) -> dict[str, object]:
+    first = window.signatures[0] if window.signatures else None
     place = None if first is None else first.place
-    return {
-        "wheelset": one.wheelset,
-        "start_ns": one.start_ns,
-        "vehicle": one.vehicle,
+    return columns_of(window, "signatures") | {
         "section": None if place is None else place.section,
         "speed_band_m_s": None if first is None else SPEED_BAND * int(first.speed // SPEED_BAND),
-        "window_digest": one.window_digest,
-        "assumed": one.assumed,
-        "places": len(one.signatures),
-        "packed": pack_signatures(one.signatures),
-        **reason_columns(one.reason),
+        "places": len(window.signatures),
+        "packed": pack_signatures(window.signatures),
     }
-
-
-def _of_window(row: Row[Any]) -> WindowSignatures:
-    return WindowSignatures(
-        wheelset=row.wheelset,
-        start_ns=row.start_ns,
-        vehicle=row.vehicle,
-        window_digest=row.window_digest,
-        assumed=row.assumed,
-        signatures=unpack_signatures(row.packed, row.wheelset, row.start_ns),
-        reason=stored_reason(row),
-    )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any
 
 from sqlalchemy import (
@@ -12,12 +11,10 @@ from sqlalchemy import (
     Boolean,
     ColumnElement,
     Connection,
-    Insert,
     Row,
     Select,
     String,
     and_,
-    bindparam,
     case,
     cast,
     delete,
@@ -32,15 +29,14 @@ from sqlalchemy import (
     union_all,
     update,
 )
-from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import EVERYTHING, Due, Look, Mark, Quarantined, QuarantineState, StageInputs, SubjectKind
 from fleet_db.due import DUE, WindowDueStore, list_for_settings
 from fleet_db.locks import Subject, serialise
-from fleet_db.rows import columns_of, equal, given, row_of, table_of, upsert, value_of_row
+from fleet_db.rows import columns_of, equal, given, put_rows, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.assembled import SPANS
-from fleet_db.subjects import MOUNTINGS, REGISTRY_VERSION, VERSIONS, ReadOnce, Subjects
+from fleet_db.subjects import MOUNTINGS, REGISTRY_VERSION, VERSIONS, ReadOnce, Store, Subjects
 from fleet_db.tables.operation import StageMarkRow
 from fleet_db.tables.recordings import ChunkRow, QuarantineRow
 from fleet_db.tables.windows import WindowRow
@@ -90,7 +86,7 @@ class StageMarkStore:
 
     def _with_registry(self, due: Mapping[str, Due]) -> Mapping[str, Due]:
         """Return what is due; the version of the registry was read with it, in the same snapshot."""
-        self.on_file.renew(next((one.registry for one in due.values()), None))
+        self.on_file.renew(next((of_subject.registry for of_subject in due.values()), None))
         return due
 
     def versions(
@@ -107,15 +103,15 @@ class StageMarkStore:
         """
         self.subjects.flush()
         facts = VERSIONS.alias("facts")
-        own = tuple_(facts.c.kind, facts.c.subject).in_(sorted(subjects))
+        of_subjects = tuple_(facts.c.kind, facts.c.subject).in_(sorted(subjects))
         mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle.in_(vehicles))
         beside = and_(facts.c.kind == SubjectKind.WHEELSET.value, facts.c.subject.in_(mounted))
         summed = select(
-            func.sum(case((own, facts.c.version), else_=0)).label("own"),
+            func.sum(case((of_subjects, facts.c.version), else_=0)).label("own"),
             func.sum(case((beside, facts.c.version), else_=0)).label("beside"),
             REGISTRY_VERSION.label("registry"),
         )
-        row = self.connection.execute(summed.where(or_(own, beside), facts.c.facet.in_(facets))).one()
+        row = self.connection.execute(summed.where(or_(of_subjects, beside), facts.c.facet.in_(facets))).one()
         self.on_file.renew(row.registry)
         return int(row.own or 0), int(row.beside or 0)
 
@@ -137,12 +133,12 @@ class StageMarkStore:
         rows = self.connection.execute(union_all(*looks, _look(_HELD, job).where(held))).all()
         self.on_file.renew(next((row.registry for row in rows if row.registry is not None), None))
         listed = frozenset(row.stage for row in rows if row.what == _LISTED)
-        due: dict[str, dict[str, Due]] = {one.stage: {} for one in of_windows if one.stage not in listed}
+        due: dict[str, dict[str, Due]] = {inputs.stage: {} for inputs in of_windows if inputs.stage not in listed}
         for row in rows:
             if row.what == _DUE:
                 due.setdefault(row.stage, {}).update({row.subject: _as_due(row)} if row.subject is not None else {})
         return Look(
-            due={stage: dict(sorted(own.items())) for stage, own in due.items()},
+            due={stage: dict(sorted(of_stage.items())) for stage, of_stage in due.items()},
             seen={row.stage: row.seen for row in rows if row.what == _SEEN},
             listed=listed,
             held=any(row.what == _HELD for row in rows),
@@ -161,26 +157,25 @@ class StageMarkStore:
         self._put(inputs, {EVERYTHING: Mark(0, "", rests=False)})
 
     def _put(self, inputs: StageInputs, marks: Mapping[str, Mark]) -> None:
+        def of(subject: str) -> tuple[SubjectKind, str] | None:
+            return None if inputs.together else (inputs.kind, subject)
+
         rows = [
             {
                 "stage": inputs.stage,
                 "subject": subject,
-                "seen": mark.seen + (self._raised(inputs, subject) if mark.rests else 0),
+                "seen": mark.seen + (self.subjects.growth(inputs.facets, of(subject)) if mark.rests else 0),
                 "common": inputs.common,
                 "made_from": mark.made_from,
                 "again_ns": mark.again_ns,
             }
             for subject, mark in sorted(marks.items())
         ]
-        if rows:
-            self.connection.execute(_note(self.connection.dialect.name), rows)
+        put_rows(self.connection, MARKS, rows)
 
     def forget(self, stage: str, subjects: Collection[str]) -> None:
         """Let a stage compute again of these subjects: what it made of them is damaged."""
         self.connection.execute(delete(MARKS).where(MARKS.c.stage == stage, MARKS.c.subject.in_(subjects)))
-
-    def _raised(self, inputs: StageInputs, subject: str) -> int:
-        return self.subjects.growth(inputs.facets, None if inputs.together else (inputs.kind, subject))
 
 
 _DUE, _LISTED, _SEEN, _HELD = "due", "listed", "seen", "held"
@@ -255,25 +250,12 @@ def _due(inputs: StageInputs, now_ns: int, subjects: Collection[str] | None) -> 
     return statement.group_by(VERSIONS.c.subject, *marked).having(changed)
 
 
-@cache
-def _note(dialect: str) -> Insert:
-    names = [column.name for column in MARKS.columns]
-    insert = (postgresql if dialect == "postgresql" else sqlite).insert(MARKS)
-    noted = insert.values({name: bindparam(name) for name in names})
-    changed = {name: noted.excluded[name] for name in names if name not in {"stage", "subject"}}
-    statement: Insert = noted.on_conflict_do_update(index_elements=["stage", "subject"], set_=changed)
-    return statement
-
-
 Place = tuple[str, str, str]
 """Kind, key and stage."""
 
 
-@dataclass(frozen=True, slots=True)
-class QuarantineStore:
+class QuarantineStore(Store):
     """What failed by itself and is kept apart."""
-
-    connection: Connection
 
     def get(self, kind: SubjectKind, key: str, stage: str) -> Quarantined | None:
         """Return what is kept of one thing, held or resolved."""
@@ -306,9 +288,8 @@ class QuarantineStore:
         """Return items behind a place, by kind, key and stage; of a vehicle with its recordings and windows."""
         place = (ITEMS.c.kind, ITEMS.c.key, ITEMS.c.stage)
         chosen = [*equal(ITEMS, kind=kind, state=state, code=code), *given(vehicle, _of_vehicle)]
-        if after is not None:
-            chosen.append(tuple_(*place) > tuple_(*after))
-        statement = select(ITEMS).where(*chosen).order_by(*place).limit(limit)
+        behind = given(after, lambda place_before: tuple_(*place) > tuple_(*place_before))
+        statement = select(ITEMS).where(*chosen, *behind).order_by(*place).limit(limit)
         return [value_of_row(Quarantined, row) for row in self.connection.execute(statement)]
 
     def counts(self) -> dict[tuple[SubjectKind, ReasonCode], int]:
@@ -324,9 +305,9 @@ class QuarantineStore:
     def retry(self, kind: SubjectKind | None = None, key: str | None = None) -> Sequence[Quarantined]:
         """Let what is held be tried at the next run: all, one kind, or one thing; return what that is."""
         chosen = equal(ITEMS, state=QuarantineState.HELD, kind=kind, key=key)
-        found = self._items(select(ITEMS).where(*chosen))
+        items = self._items(select(ITEMS).where(*chosen))
         self.connection.execute(update(ITEMS).where(*chosen).values(due_ns=ITEMS.c.last_ns))
-        return found
+        return items
 
     def _items(self, statement: Any) -> Sequence[Quarantined]:  # noqa: ANN401 - a select of any shape
         ordered = statement.order_by(ITEMS.c.last_ns, ITEMS.c.kind, ITEMS.c.key, ITEMS.c.stage)

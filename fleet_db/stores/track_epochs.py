@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import cache
 from typing import Any
 
 from sqlalchemy import (
     ColumnElement,
-    Connection,
-    Row,
     Select,
     Update,
     and_,
@@ -32,10 +30,10 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import Facet, SubjectKind
 from estimation.values.track import EpochMember, FoldState, FoundOfVehicles, HeldWindow, ListedWindow, TrackEpoch
 from estimation.values.windows import DueStage, WindowKey, WindowRecord, WindowState
-from fleet_db.due import BATCH, DUE, OF_WINDOW, list_due, stale_epochs
-from fleet_db.rows import columns_of, put_rows, table_of, value_of_row
+from fleet_db.due import DUE, OF_WINDOW, list_due, stale_epochs
+from fleet_db.rows import batches, columns_of, put_rows, table_of, value_of_row
 from fleet_db.stores.window_rows import keys_given, to_window_record
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import RaisingStore
 from fleet_db.tables.track import TrackEpochRow, TrackEpochVehicleRow, TrackEpochWindowRow
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
@@ -97,17 +95,16 @@ def _refused() -> Update:
     return update(MEMBERS).where(*this).values(estimated_version=bindparam("version"))
 
 
-@dataclass(frozen=True, slots=True)
-class EpochStore:
+class EpochStore(RaisingStore):
     """Epochs of sections in vehicle time, each as it was computed last, and what has changed under them since."""
-
-    connection: Connection
-    subjects: Subjects
 
     def list(self, section: str) -> Sequence[TrackEpoch]:
         """Return the epochs of a section as they were computed last, in order."""
-        rows = self.connection.execute(select(EPOCHS).where(EPOCHS.c.section == section).order_by(EPOCHS.c.number))
-        return [_epoch(row) for row in rows]
+        epochs = []
+        for row in self.connection.execute(select(EPOCHS).where(EPOCHS.c.section == section).order_by(EPOCHS.c.number)):
+            survey = None if row.survey_code is None else Reason(ReasonCode(row.survey_code), row.survey)
+            epochs.append(value_of_row(TrackEpoch, row, after=FoldState(row.version, row.same_since, survey)))
+        return epochs
 
     def listed(self, section: str) -> Iterator[ListedWindow]:
         """Yield the windows of a section that its epochs may not hold as they are now, oldest first."""
@@ -122,13 +119,13 @@ class EpochStore:
     def purged_until(self, section: str) -> int | None:
         """Return the start of the last window of a section whose samples have been purged."""
         purged = select(func.max(WINDOWS.c.start_ns)).where(WINDOWS.c.track_section == section, ~WITH_SAMPLES)
-        found: int | None = self.connection.scalar(purged)
-        return found
+        start_ns: int | None = self.connection.scalar(purged)
+        return start_ns
 
     def list_again(self, section: str, keys: Sequence[WindowKey]) -> None:
         """List windows of a section that are looked at otherwise now, for what is on file of them has changed."""
-        for first in range(0, len(keys), BATCH):
-            list_due(self.connection, DueStage.ALIGNMENT, keys_given(WINDOWS), keys=keys[first : first + BATCH])
+        for some in batches(keys):
+            list_due(self.connection, DueStage.ALIGNMENT, keys_given(WINDOWS), keys=some)
         if keys:
             self.subjects.raised(SubjectKind.SECTION, section, Facet.WINDOWS)
 
@@ -192,13 +189,27 @@ class EpochStore:
         put_rows(self.connection, EPOCHS, [_values(epoch)])
         of_epoch = and_(MEMBERS.c.section == epoch.section, MEMBERS.c.epoch == epoch.number)
         keys = {member.record.key for member in members}
-        before, own = self._held(of_epoch, sorted(keys)), (epoch.section, epoch.number)
+        before = self._held(of_epoch, sorted(keys))
         self._let_go(epoch.section, sorted(before.keys() - keys), of_epoch)
-        elsewhere = set(before.values()) - {own}
+        elsewhere = set(before.values()) - {(epoch.section, epoch.number)}
         for section, _ in sorted(elsewhere):
             self.subjects.places(section)
         stale_epochs(self.subjects, sorted(elsewhere))
-        self._put_members(epoch, members)
+        rows = [
+            {
+                "wheelset": member.record.wheelset,
+                "start_ns": member.record.start_ns,
+                "section": epoch.section,
+                "epoch": epoch.number,
+                "vehicle": member.record.vehicle,
+                "content_digest": member.record.content_digest,
+                "mileage_km": member.record.mileage_km,
+                "context": member.context,
+                "assumed": member.assumed,
+            }
+            for member in sorted(members, key=lambda member: member.record.key)
+        ]
+        put_rows(self.connection, MEMBERS, rows)
 
     def stale(self, section: str, number: int) -> None:
         """Let an epoch be computed again, where it is there."""
@@ -235,8 +246,8 @@ class EpochStore:
         self.subjects.places(section)
         self.subjects.raised(SubjectKind.SECTION, section, Facet.WINDOWS)
         behind = (MEMBERS.c.section == section, MEMBERS.c.epoch > number)
-        own = and_(WINDOWS.c.track_section == section, WITH_SAMPLES, exists().where(OF_WINDOW, *behind))
-        list_due(self.connection, DueStage.ALIGNMENT, own)
+        held = and_(WINDOWS.c.track_section == section, WITH_SAMPLES, exists().where(OF_WINDOW, *behind))
+        list_due(self.connection, DueStage.ALIGNMENT, held)
         for table in (MEMBERS, VEHICLES):
             self.connection.execute(delete(table).where(table.c.section == section, table.c.epoch > number))
         gone = delete(EPOCHS).where(EPOCHS.c.section == section, EPOCHS.c.number > number)
@@ -248,11 +259,8 @@ class EpochStore:
         It is that of its epoch, or the oldest from which the last does not differ materially, if that is newer, or the
         newest that holds what was found of its vehicle alone.
         """
-        found = {}
-        for first in range(0, len(keys), BATCH):
-            for row in self.connection.execute(_wanted(), {"keys": keys[first : first + BATCH]}):
-                found[row.wheelset, row.start_ns] = row.wanted
-        return found
+        rows = (row for some in batches(keys) for row in self.connection.execute(_wanted(), {"keys": some}))
+        return {(row.wheelset, row.start_ns): row.wanted for row in rows}
 
     def note_all_refused(self, versions: Mapping[WindowKey, int | None]) -> None:
         """Record by wheelset and start on which versions of their alignments windows have been refused."""
@@ -285,39 +293,20 @@ class EpochStore:
         """Forget that an epoch holds some windows; those that are still there are listed."""
         if keys:
             self.subjects.raised(SubjectKind.SECTION, section, Facet.WINDOWS)
-        for first in range(0, len(keys), BATCH):
-            given = {"keys": keys[first : first + BATCH]}
-            own = and_(WINDOWS.c.track_section == section, WITH_SAMPLES, keys_given(WINDOWS))
-            list_due(self.connection, DueStage.ALIGNMENT, own, **given)
-            self.connection.execute(delete(MEMBERS).where(of_epoch, keys_given(MEMBERS)), given)
+        for some in batches(keys):
+            there = and_(WINDOWS.c.track_section == section, WITH_SAMPLES, keys_given(WINDOWS))
+            list_due(self.connection, DueStage.ALIGNMENT, there, keys=some)
+            self.connection.execute(delete(MEMBERS).where(of_epoch, keys_given(MEMBERS)), {"keys": some})
 
     def _held(self, of_epoch: ColumnElement[bool], keys: Sequence[WindowKey]) -> dict[WindowKey, tuple[str, int]]:
         """Return section and number of the epochs that hold some windows, with all windows of one epoch."""
         columns = (MEMBERS.c.wheelset, MEMBERS.c.start_ns, MEMBERS.c.section, MEMBERS.c.epoch)
         held: dict[WindowKey, tuple[str, int]] = {}
-        for first in range(0, max(len(keys), 1), BATCH):
-            given = {"keys": keys[first : first + BATCH]}
-            some = union(select(*columns).where(of_epoch), select(*columns).where(keys_given(MEMBERS)))
-            rows = self.connection.execute(some, given)
+        statement = union(select(*columns).where(of_epoch), select(*columns).where(keys_given(MEMBERS)))
+        for some in batches(keys) if keys else [keys]:
+            rows = self.connection.execute(statement, {"keys": some})
             held.update({(row.wheelset, row.start_ns): (row.section, row.epoch) for row in rows})
         return held
-
-    def _put_members(self, epoch: TrackEpoch, members: Sequence[EpochMember]) -> None:
-        rows = [
-            {
-                "wheelset": member.record.wheelset,
-                "start_ns": member.record.start_ns,
-                "section": epoch.section,
-                "epoch": epoch.number,
-                "vehicle": member.record.vehicle,
-                "content_digest": member.record.content_digest,
-                "mileage_km": member.record.mileage_km,
-                "context": member.context,
-                "assumed": member.assumed,
-            }
-            for member in sorted(members, key=lambda member: member.record.key)
-        ]
-        put_rows(self.connection, MEMBERS, rows)
 
     def _records(self, statement: Select[Any]) -> Sequence[WindowRecord]:
         return [to_window_record(row) for row in self.connection.execute(statement)]
@@ -344,15 +333,10 @@ def _of_listed(section: str, after: tuple[int, str]) -> Select[Any]:
 
 def _values(epoch: TrackEpoch) -> dict[str, Any]:
     survey = epoch.after.survey
-    return columns_of(epoch, "after") | {
+    return {
+        **columns_of(epoch, "after"),
+        **columns_of(epoch.after, "survey"),
         "stale": False,
-        "version": epoch.after.version,
-        "same_since": epoch.after.same_since,
         "survey": "" if survey is None else survey.text,
         "survey_code": None if survey is None else survey.code.value,
     }
-
-
-def _epoch(row: Row[Any]) -> TrackEpoch:
-    survey = None if row.survey_code is None else Reason(ReasonCode(row.survey_code), row.survey)
-    return value_of_row(TrackEpoch, row, after=FoldState(row.version, row.same_since, survey))

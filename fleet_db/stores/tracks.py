@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, Select, and_, delete, exists, func, insert, select, update
 
-from estimation.errors import ConflictError, NotFoundError
+from estimation.errors import ConflictError
 from estimation.values.runs import Facet, SubjectKind
 from estimation.values.track import (
     AlignmentRecord,
@@ -26,7 +26,7 @@ from estimation.values.windows import WindowKey, WindowPosition
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
 from fleet_db.records import Decision, RecordAction, RecordKind
-from fleet_db.rows import columns_of, null_if_nan, row_of, table_of, upsert, value_of_row
+from fleet_db.rows import columns_of, equal, given, null_if_nan, present, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.assembled import make_stale
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.track_epochs import EpochStore
@@ -81,26 +81,20 @@ class TrackStore:
 
     def section(self, code: str) -> TrackSectionRecord:
         """Return one section; raises NotFoundError."""
-        found = self._sections(select(SECTIONS).where(SECTIONS.c.code == code, SECTIONS.c.number > 0))
-        if not found:
-            raise NotFoundError("track section", code)
-        return found[0]
+        sections = self._sections(select(SECTIONS).where(SECTIONS.c.code == code, SECTIONS.c.number > 0))
+        return present(next(iter(sections), None), "track section", code)
 
     def section_by_number(self, number: int) -> TrackSectionRecord | None:
         """Return the section that vehicles call ``number``."""
-        found = self._sections(select(SECTIONS).where(SECTIONS.c.number == number))
-        return found[0] if found else None
+        return next(iter(self._sections(select(SECTIONS).where(SECTIONS.c.number == number))), None)
 
     def add_section(self, record: TrackSectionRecord, recorded_ns: int | None = None) -> None:
         """Add or change a section and assemble windows again; ConflictError: another section has its number."""
         serialise(self.connection, Subject.TRACKS)
         other = self.section_by_number(record.number)
         if other is not None and other.code != record.code:
-            raise ConflictError(
-                f"track section {other.code!r} already has number {record.number}",
-                kind="track section",
-                key=record.code,
-            )
+            reason = f"track section {other.code!r} already has number {record.number}"
+            raise ConflictError(reason, kind="track section", key=record.code)
         was = row_of(self.connection, SECTIONS, record.code)
         line = None if record.line is None else [list(point) for point in record.line]  # as JSON has it
         if upsert(self.connection, SECTIONS, asdict(record) | {"line": line}):
@@ -144,31 +138,38 @@ class TrackStore:
         digest = hashlib.sha256(packed).hexdigest()
         of_section = ALIGNMENTS.c.section == alignment.section
         comparable = VERSIONS.c.version.is_(None) if recorded_ns is None else STANDS
-        known = self.connection.execute(
+        newest = self.connection.execute(
             select(ALIGNMENTS.c.version, ALIGNMENTS.c.content_digest)
             .select_from(ALIGNMENTS.outerjoin(VERSIONS, SAME_VERSION))
             .where(of_section, comparable)
             .order_by(ALIGNMENTS.c.version.desc())
             .limit(1)
         ).first()
-        if known is not None and known.content_digest == digest:
-            return int(known.version)
+        if newest is not None and newest.content_digest == digest:
+            return int(newest.version)
         version = 1 + (self.connection.scalar(select(func.max(ALIGNMENTS.c.version)).where(of_section)) or 0)
         values = {"section": alignment.section, "version": version}
         content = {"points": len(alignment.s), "content_digest": digest, "packed": packed}
         self.connection.execute(insert(ALIGNMENTS).values(**values, status=str(alignment.status), **content))
         if recorded_ns is not None:
-            version_values = _version_values(alignment, version if same_since is None else same_since, recorded_ns)
-            self.connection.execute(insert(VERSIONS).values(**values, **version_values))
+            std = alignment.alignment_std[np.isfinite(alignment.alignment_std)]
+            of_version = {
+                "source": alignment.source,
+                "same_since": version if same_since is None else same_since,
+                "cut_off_m": float(alignment.cutoff_wavelength) if np.isfinite(alignment.cutoff_wavelength) else None,
+                "scale_std": float(alignment.scale_std),
+                "gauge_known": bool(alignment.gauge_known),
+                "alignment_std_m": null_if_nan(float(np.median(std))) if len(std) else None,
+                "recorded_ns": recorded_ns,
+            }
+            self.connection.execute(insert(VERSIONS).values(**values, **of_version))
         self.subjects.raised(SubjectKind.SECTION, alignment.section, Facet.ALIGNMENT)
         return version
 
     def in_force(self, section: str) -> AlignmentRecord | None:
         """Return which version of a section's alignment is in force: the newest not superseded; without arrays."""
-        statement = (
-            RECORDS.where(ALIGNMENTS.c.section == section, STANDS).order_by(ALIGNMENTS.c.version.desc()).limit(1)
-        )
-        row = self.connection.execute(statement).first()
+        standing = RECORDS.where(ALIGNMENTS.c.section == section, STANDS)
+        row = self.connection.execute(standing.order_by(ALIGNMENTS.c.version.desc()).limit(1)).first()
         return None if row is None else _alignment_record(row)
 
     def standings(self) -> Mapping[str, SectionStanding]:
@@ -194,8 +195,8 @@ class TrackStore:
 
     def registered(self, section: str) -> int | None:
         """Return the newest version of the alignment of a section that the operator registered; None without one."""
-        found: int | None = self.connection.scalar(_registered(section))
-        return found
+        version: int | None = self.connection.scalar(_registered(section))
+        return version
 
     def same_content(self, section: str, version: int, alignment: TrackAlignment, same_since: int) -> bool:
         """Whether a version stands, was estimated, and has this content and this oldest version like it."""
@@ -214,10 +215,9 @@ class TrackStore:
 
     def versions(self, section: str, after: int | None, limit: int) -> Sequence[AlignmentRecord]:
         """Return at most ``limit`` versions of a section behind version ``after``, oldest first."""
-        statement = RECORDS.where(ALIGNMENTS.c.section == section).order_by(ALIGNMENTS.c.version).limit(limit)
-        if after is not None:
-            statement = statement.where(ALIGNMENTS.c.version > after)
-        return [_alignment_record(row) for row in self.connection.execute(statement)]
+        statement = RECORDS.where(ALIGNMENTS.c.section == section, *given(after, ALIGNMENTS.c.version.__gt__))
+        rows = self.connection.execute(statement.order_by(ALIGNMENTS.c.version).limit(limit))
+        return [_alignment_record(row) for row in rows]
 
     def report(self, section: str, version: int | None = None) -> TrackReport | None:
         """Return the report of the last epoch of a section, or the one of the run that made ``version``."""
@@ -226,8 +226,7 @@ class TrackStore:
             statement = statement.where(REPORTS.c.version == version, REPORTS.c.made)
         else:
             last = select(EPOCHS.c.report).where(EPOCHS.c.section == section).order_by(EPOCHS.c.number.desc()).limit(1)
-            number = self.connection.scalar(last)
-            statement = statement if number is None else statement.where(REPORTS.c.report_id == number)
+            statement = statement.where(*equal(REPORTS, report_id=self.connection.scalar(last)))
         row = self.connection.execute(statement.order_by(REPORTS.c.report_id.desc()).limit(1)).first()
         return None if row is None else value_of_row(TrackReport, row)
 
@@ -304,30 +303,15 @@ def _registered(section: str) -> Select[Any]:
     )
 
 
-def _version_values(alignment: TrackAlignment, same_since: int, recorded_ns: int) -> dict[str, Any]:
-    std = alignment.alignment_std[np.isfinite(alignment.alignment_std)]
-    return {
-        "source": alignment.source,
-        "same_since": same_since,
-        "cut_off_m": float(alignment.cutoff_wavelength) if np.isfinite(alignment.cutoff_wavelength) else None,
-        "scale_std": float(alignment.scale_std),
-        "gauge_known": bool(alignment.gauge_known),
-        "alignment_std_m": null_if_nan(float(np.median(std))) if len(std) else None,
-        "recorded_ns": recorded_ns,
-    }
-
-
 def _alignment_record(row: Any) -> AlignmentRecord:  # noqa: ANN401 - a row of RECORDS
     return value_of_row(AlignmentRecord, row, cut_off_m=np.inf if row.cut_off_m is None else row.cut_off_m)
 
 
 def find_layout(connection: Connection, section: str, version: int) -> TrackLayout | None:
     """Return one version of the layout of a section; None where there is none."""
-    statement = select(LAYOUTS.c.version, LAYOUTS.c.packed).where(LAYOUTS.c.section == section)
-    row = connection.execute(statement.where(LAYOUTS.c.version == version)).first()
-    if row is None:
-        return None
-    return unpack_layout(row.packed, row.version, where=f"layout {row.version} of track section {section!r}")
+    packed = connection.scalar(select(LAYOUTS.c.packed).where(*equal(LAYOUTS, section=section, version=version)))
+    where = f"layout {version} of track section {section!r}"
+    return None if packed is None else unpack_layout(packed, version, where=where)
 
 
 def store_layout(connection: Connection, layout: TrackLayout) -> int:
@@ -343,8 +327,8 @@ def store_layout(connection: Connection, layout: TrackLayout) -> int:
     if newest is not None and newest.content_digest == digest:
         return int(newest.version)
     version = 1 if newest is None else int(newest.version) + 1
-    row = {"section": layout.section, "version": version, "points": len(layout.s)}
-    connection.execute(insert(LAYOUTS).values(**row, content_digest=digest, packed=packed))
+    key = {"section": layout.section, "version": version}
+    connection.execute(insert(LAYOUTS).values(**key, points=len(layout.s), content_digest=digest, packed=packed))
     return version
 
 
@@ -355,8 +339,7 @@ def free_numbers(history: RegistryHistoryStore, records: Sequence[TrackSectionRe
     for record in records:
         was = connection.execute(select(SECTIONS).where(SECTIONS.c.code == record.code)).mappings().first()
         if was is not None and was["number"] > 0 and was["number"] != record.number:
-            key = RecordKey(RecordKind.SECTION, record.code)
-            decision = Decision(recorded_ns=recorded_ns)
+            key, decision = RecordKey(RecordKind.SECTION, record.code), Decision(recorded_ns=recorded_ns)
             history.note(key, RecordAction.CHANGED, dict(was), decision)
             give_up_number(connection, record.code)
 

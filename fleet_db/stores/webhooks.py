@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
-from sqlalchemy import Connection, Select, delete, func, insert, select, update
+from sqlalchemy import Select, delete, func, insert, select, update
 
-from estimation.errors import NotFoundError
 from fleet_db.records import Delivery, DeliveryState, DisabledReason, Webhook, WebhookCount, WebhookState
-from fleet_db.rows import columns_of, equal, given, table_of, value_of_row
+from fleet_db.rows import columns_of, equal, given, present, table_of, value_of_row
+from fleet_db.subjects import Store
 from fleet_db.tables.alerts import AlertEventRow, WebhookDeliveryRow, WebhookFleetRow, WebhookRow, WebhookSecretRow
 
 WEBHOOKS, FLEETS = table_of(WebhookRow), table_of(WebhookFleetRow)
@@ -18,11 +18,8 @@ SECRETS, DELIVERIES = table_of(WebhookSecretRow), table_of(WebhookDeliveryRow)
 EVENTS = table_of(AlertEventRow)
 
 
-@dataclass(frozen=True, slots=True)
-class WebhookStore:
+class WebhookStore(Store):
     """The webhooks, in one transaction."""
-
-    connection: Connection
 
     def get(self, webhook_id: int) -> Webhook:
         """Return one webhook; raises NotFoundError."""
@@ -44,7 +41,7 @@ class WebhookStore:
         """Return every webhook with how often it was sent to, by number."""
         numbers = select(WEBHOOKS.c.webhook_id, WEBHOOKS.c.delivered, WEBHOOKS.c.failed)
         counted = {number: sent for number, *sent in self.connection.execute(numbers)}
-        return [WebhookCount(one, *counted[one.webhook_id]) for one in self.page(None, None)]
+        return [WebhookCount(webhook, *counted[webhook.webhook_id]) for webhook in self.page(None, None)]
 
     def add(self, webhook: Webhook, secret: str) -> Webhook:
         """Add a webhook with its secret and return it with its number."""
@@ -99,8 +96,8 @@ class WebhookStore:
         """Return at most ``limit`` deliveries of a webhook with a number below ``before_id``, newest first."""
         number = DELIVERIES.c.delivery_id
         chosen = [*equal(DELIVERIES, webhook_id=webhook_id, state=state), *given(before_id, number.__lt__)]
-        found = self.connection.execute(select(DELIVERIES).where(*chosen).order_by(number.desc()).limit(limit))
-        return [value_of_row(Delivery, row) for row in found]
+        rows = self.connection.execute(select(DELIVERIES).where(*chosen).order_by(number.desc()).limit(limit))
+        return [value_of_row(Delivery, row) for row in rows]
 
     def attempted(self, webhook: Webhook, delivery: Delivery, disabled: DisabledReason | None) -> bool:
         """Store the outcome of an attempt; return whether it counted.
@@ -133,21 +130,18 @@ class WebhookStore:
 
     def last_before(self, from_ns: int) -> int:
         """Return the number of the last event before the first one that was recorded at or after a time."""
-        first = select(func.min(EVENTS.c.sequence)).where(EVENTS.c.recorded_ns >= from_ns)
-        found = self.connection.scalar(first)
-        if found is None:
+        first = self.connection.scalar(select(func.min(EVENTS.c.sequence)).where(EVENTS.c.recorded_ns >= from_ns))
+        if first is None:
             return self.connection.scalar(select(func.max(EVENTS.c.sequence))) or 0
-        return int(found) - 1
+        return int(first) - 1
 
     def _add_secret(self, webhook_id: int, secret: str, now_ns: int) -> None:
         values = {"webhook_id": webhook_id, "secret": secret, "created_ns": now_ns, "until_ns": None}
         self.connection.execute(insert(SECRETS).values(values))
 
     def _one(self, webhook_id: int, statement: Select[Any]) -> Webhook:
-        found = self._webhooks(statement.where(WEBHOOKS.c.webhook_id == webhook_id))
-        if not found:
-            raise NotFoundError("webhook", str(webhook_id))
-        return found[0]
+        webhooks = self._webhooks(statement.where(WEBHOOKS.c.webhook_id == webhook_id))
+        return present(next(iter(webhooks), None), "webhook", webhook_id)
 
     def _webhooks(self, statement: Select[Any]) -> Sequence[Webhook]:
         rows = self.connection.execute(statement.order_by(WEBHOOKS.c.webhook_id)).all()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import chain
@@ -14,13 +14,13 @@ from sqlalchemy import ColumnElement, Connection, Row, Table, and_, delete, exis
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import ConflictError, ParameterError
 from estimation.values.reasons import utc_text
-from estimation.values.registry import Mounting, Reprofiling, SensorChange, SensorWork
+from estimation.values.registry import Mounting, Reprofiling, SensorChange
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_wheel_pair, unpack_wheel_pair
 from fleet_db.records import Decision, RecordKind
-from fleet_db.rows import by_wheelset, columns_of, given, row_of, table_of, upsert, value_of_row
+from fleet_db.rows import batches, by_wheelset, columns_of, given, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
-from fleet_db.subjects import Subjects
+from fleet_db.subjects import RaisingStore
 from fleet_db.tables.recordings import StaleSpanRow
 from fleet_db.tables.registry import MeasuredProfilesRow, MountingRow, ReprofilingRow, SensorChangeRow, WheelsetRow
 from fleet_db.tables.windows import WindowRow
@@ -63,8 +63,8 @@ def changed_spans(before: Mounting | None, after: Mounting | None) -> list[tuple
         if not ends or before.to_ns == after.to_ns:
             return []
         return [(after.vehicle, min(ends), max(ends) if len(ends) == 2 else None)]  # noqa: PLR2004 - both end
-    known = [one for one in (before, after) if one is not None]
-    return list(dict.fromkeys((one.vehicle, one.from_ns, one.to_ns) for one in known))
+    there = [mounting for mounting in (before, after) if mounting is not None]
+    return list(dict.fromkeys((mounting.vehicle, mounting.from_ns, mounting.to_ns) for mounting in there))
 
 
 def add_mounting(connection: Connection, record: Mounting, axles: int) -> bool:
@@ -104,8 +104,8 @@ def newest_measurements(
 ) -> tuple[int, list[tuple[str, int]]]:
     """Return how many measurements there are in ``[from_ns, to_ns)``, and wheelset and time of the newest ``limit``."""
     wanted = [*given(from_ns, MEASURED.c.at_ns.__ge__), *given(to_ns, MEASURED.c.at_ns.__lt__)]
-    if fleet is not None:
-        wanted.append(MEASURED.c.wheelset.in_(select(WHEELSETS.c.serial).where(WHEELSETS.c.fleet == fleet)))
+    of_fleet = select(WHEELSETS.c.serial)
+    wanted += given(fleet, lambda code: MEASURED.c.wheelset.in_(of_fleet.where(WHEELSETS.c.fleet == code)))
     total = connection.scalar(select(func.count()).select_from(MEASURED).where(*wanted)) or 0
     newest = select(MEASURED.c.wheelset, MEASURED.c.at_ns).where(*wanted)
     newest = newest.order_by(MEASURED.c.at_ns.desc(), MEASURED.c.wheelset).limit(limit)
@@ -131,7 +131,6 @@ def stored_measurement(connection: Connection, wheelset: str, at_ns: int) -> dic
 
 
 WINDOWS, SPANS = table_of(WindowRow), table_of(StaleSpanRow)
-AT_ONCE = 500  # keys in one statement
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +153,7 @@ class WindowDistance:
 
 def lives_on_file(connection: Connection, serials: Collection[str]) -> dict[str, LifeOnFile]:
     """Return the lives of some wheelsets."""
-    mountings = by_wheelset(mountings_where(connection, MOUNTINGS.c.wheelset, serials), lambda one: one)
+    mountings = by_wheelset(mountings_where(connection, MOUNTINGS.c.wheelset, serials), lambda mounting: mounting)
     turned, measured = (_dated(connection, table, serials) for table in (REPROFILINGS, MEASURED))
     return {
         serial: LifeOnFile(*(tuple(dated.get(serial, ())) for dated in (mountings, turned, measured)))
@@ -165,8 +164,8 @@ def lives_on_file(connection: Connection, serials: Collection[str]) -> dict[str,
 def mountings_where(connection: Connection, column: ColumnElement[str], keys: Collection[str]) -> list[Mounting]:
     """Return the mountings of some wheelsets, or on some vehicles, by that column."""
     statement = select(MOUNTINGS).order_by(MOUNTINGS.c.from_ns)
-    found = (connection.execute(statement.where(column.in_(some))) for some in _parts(keys))
-    return [value_of_row(Mounting, row) for row in chain.from_iterable(found)]
+    rows = (connection.execute(statement.where(column.in_(some))) for some in batches(sorted(keys)))
+    return [value_of_row(Mounting, row) for row in chain.from_iterable(rows)]
 
 
 def any_windows(connection: Connection) -> bool:
@@ -180,11 +179,9 @@ def windows_beside(connection: Connection, wheelset: str, at_ns: int) -> list[Wi
     Left out are windows whose mileage is not believed, and those that are to be assembled again.
     """
     stale = exists().where(
-        and_(
-            SPANS.c.vehicle == WINDOWS.c.vehicle,
-            SPANS.c.from_ns < WINDOWS.c.start_ns + WINDOWS.c.length_ns,
-            SPANS.c.to_ns > WINDOWS.c.start_ns,
-        )
+        SPANS.c.vehicle == WINDOWS.c.vehicle,
+        SPANS.c.from_ns < WINDOWS.c.start_ns + WINDOWS.c.length_ns,
+        SPANS.c.to_ns > WINDOWS.c.start_ns,
     )
     believed = select(WINDOWS.c.wheelset, WINDOWS.c.start_ns, WINDOWS.c.mileage_km).where(
         WINDOWS.c.wheelset == wheelset, WINDOWS.c.implausible_code.is_(None), ~stale
@@ -197,30 +194,20 @@ def windows_beside(connection: Connection, wheelset: str, at_ns: int) -> list[Wi
 def _dated(connection: Connection, table: Table, serials: Collection[str]) -> dict[str, list[tuple[int, float]]]:
     """Return time and mileage of what a table holds of wheelsets, oldest first."""
     statement = select(table.c.wheelset, table.c.at_ns, table.c.mileage_km).order_by(table.c.at_ns)
-    found = (connection.execute(statement.where(table.c.wheelset.in_(some))) for some in _parts(serials))
-    return by_wheelset(chain.from_iterable(found), lambda row: (row.at_ns, row.mileage_km))
-
-
-def _parts(keys: Collection[str]) -> Iterator[list[str]]:
-    ordered = sorted(keys)
-    for begin in range(0, len(ordered), AT_ONCE):
-        yield ordered[begin : begin + AT_ONCE]
+    rows = (connection.execute(statement.where(table.c.wheelset.in_(some))) for some in batches(sorted(serials)))
+    return by_wheelset(chain.from_iterable(rows), lambda row: (row.at_ns, row.mileage_km))
 
 
 CHANGES = table_of(SensorChangeRow)
 
 
-@dataclass(frozen=True, slots=True)
-class SensorChangeStore:
+class SensorChangeStore(RaisingStore):
     """When the sensors of an axle were exchanged or calibrated."""
-
-    connection: Connection
-    subjects: Subjects
 
     def list(self, vehicle: str) -> Sequence[SensorChange]:
         """Return what was done to the sensors of a vehicle, oldest first."""
         statement = select(CHANGES).where(CHANGES.c.vehicle == vehicle).order_by(CHANGES.c.at_ns)
-        return [sensor_change_of(row) for row in self.connection.execute(statement).mappings()]
+        return [value_of_row(SensorChange, row) for row in self.connection.execute(statement)]
 
     def newest(self, vehicles: Collection[str]) -> Mapping[tuple[str, int], int]:
         """Return by vehicle and axle when something was done last to the sensors, ns UTC."""
@@ -254,9 +241,3 @@ class SensorChangeStore:
         statement = select(CHANGES).where(CHANGES.c.vehicle == vehicle, CHANGES.c.at_ns == at_ns)
         row = self.connection.execute(statement).mappings().first()
         return None if row is None else dict(row)
-
-
-def sensor_change_of(values: Mapping[Any, Any]) -> SensorChange:
-    """Return the value of a row, or of what the history keeps of one."""
-    record = SensorChange(**{str(name): value for name, value in values.items()})
-    return replace(record, work=SensorWork(record.work))

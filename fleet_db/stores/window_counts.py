@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import starmap
 from typing import Any
 
 from sqlalchemy import (
-    BigInteger,
     ColumnElement,
     Connection,
     Row,
     Select,
-    String,
     Subquery,
     and_,
     bindparam,
@@ -21,7 +20,6 @@ from sqlalchemy import (
     exists,
     false,
     func,
-    literal,
     select,
     true,
     union_all,
@@ -39,10 +37,10 @@ from estimation.values.windows import (
     WindowMark,
     WindowState,
 )
-from fleet_db.due import BATCH, DUE, IS_PENDING, PLACED, is_due, list_due
+from fleet_db.due import DUE, IS_PENDING, PLACED, is_due, list_due
 from fleet_db.records import ChunkState
-from fleet_db.rows import by_wheelset, equal, given, replace_all, stored_reason, table_of, value_of_row
-from fleet_db.stores.window_rows import implausible_reason, keys_given
+from fleet_db.rows import batches, by_wheelset, equal, given, replace_all, stored_reason, table_of, value_of_row
+from fleet_db.stores.window_rows import implausible_reason, keys_given, spans_given
 from fleet_db.stores.windows import WindowStore
 from fleet_db.tables.operation import WorklistEntryRow
 from fleet_db.tables.recordings import ChunkRow
@@ -83,9 +81,9 @@ def window_counts(connection: Connection, wheelset: str, most: int) -> WindowCou
     placed = select(place, WINDOWS.c.state, WINDOWS.c.reason_code.label("code")).where(of_wheelset).subquery()
     key = (placed.c.place, placed.c.state, placed.c.code)
     rows = connection.execute(select(*key, func.count().label("windows")).group_by(*key))
-    found = [value_of_row(WindowCount, row, from_ns=begin + int(row.place) * stretch_ns) for row in rows]
-    found.sort(key=lambda one: (one.from_ns, one.state.value, "" if one.code is None else one.code.value))
-    return WindowCounts(stretch_ns, tuple(found))
+    counts = [value_of_row(WindowCount, row, from_ns=begin + int(row.place) * stretch_ns) for row in rows]
+    counts.sort(key=lambda count: (count.from_ns, count.state.value, "" if count.code is None else count.code.value))
+    return WindowCounts(stretch_ns, tuple(counts))
 
 
 COUNTED = 1000
@@ -117,10 +115,10 @@ def newest_by_reason(
     given = {"serial": wheelset, "since_ns": EVER_NS if since_ns is None else since_ns, "most": most}
     rows = connection.execute(_grouped(), given).all()
     starts = [row.newest_start_ns for row in rows if row.reason_code is not None]
-    found = connection.execute(_reasons(), {"serial": wheelset, "starts": starts}) if starts else ()
-    stored = {row.start_ns: stored_reason(row) for row in found}
+    with_reasons = connection.execute(_reasons(), {"serial": wheelset, "starts": starts}) if starts else ()
+    stored = {row.start_ns: stored_reason(row) for row in with_reasons}
     counted = [_counted(row, reason=stored.get(row.newest_start_ns)) for row in rows]
-    return sorted(counted, key=lambda one: (-one.windows, -one.newest_end_ns, one.state.value))
+    return sorted(counted, key=lambda group: (-group.windows, -group.newest_end_ns, group.state.value))
 
 
 def pending_by_place(
@@ -131,10 +129,9 @@ def pending_by_place(
     placed = case((PLACED, true()), else_=false()).label("placed")
     names = ("vehicle", "track_section", "start_ns")
     end = (WINDOWS.c.start_ns + WINDOWS.c.length_ns).label("end_ns")
-    waiting = select(*(WINDOWS.c[name] for name in names), end, placed)
-    one = waiting.where(*chosen).subquery()
-    key = (one.c.vehicle, one.c.track_section, one.c.placed)
-    rows = connection.execute(select(*key, *_sums(one)).group_by(*key))
+    waiting = select(*(WINDOWS.c[name] for name in names), end, placed).where(*chosen).subquery()
+    key = (waiting.c.vehicle, waiting.c.track_section, waiting.c.placed)
+    rows = connection.execute(select(*key, *_sums(waiting)).group_by(*key))
     return [_counted(row, state=WindowState.PENDING, reason=None) for row in rows]
 
 
@@ -144,17 +141,16 @@ def _counted(row: Row[Any], **given: object) -> CountedWindows:
 
 def refused_by_code(connection: Connection, since_ns: Mapping[str, int | None]) -> dict[str, dict[ReasonCode, int]]:
     """Return how many of the newest windows since a time (None: ever) are refused, by serial and code, most first."""
-    found: dict[str, dict[ReasonCode, int]] = {serial: {} for serial in since_ns}
-    given = list(since_ns.items())
-    for first in range(0, len(given), SERIALS_AT_ONCE):
-        newest = union_all(*(_newest_refused(*one) for one in given[first : first + SERIALS_AT_ONCE])).subquery()
+    refusals: dict[str, dict[ReasonCode, int]] = {serial: {} for serial in since_ns}
+    for some in batches(list(since_ns.items()), SERIALS_AT_ONCE):
+        newest = union_all(*starmap(_newest_refused, some)).subquery()
         counted = select(newest.c.wheelset, newest.c.reason_code, func.count().label("windows"))
         refused = counted.where(newest.c.state == WindowState.REFUSED.value, newest.c.reason_code.is_not(None))
         for row in connection.execute(refused.group_by(newest.c.wheelset, newest.c.reason_code)):
-            found[row.wheelset][ReasonCode(row.reason_code)] = row.windows
+            refusals[row.wheelset][ReasonCode(row.reason_code)] = row.windows
     return {
         serial: dict(sorted(counts.items(), key=lambda item: (-item[1], item[0].value)))
-        for serial, counts in found.items()
+        for serial, counts in refusals.items()
     }
 
 
@@ -172,18 +168,18 @@ def _grouped() -> Select[Any]:
     names = ("state", "reason_code", "track_section", "vehicle", "start_ns")
     end = (WINDOWS.c.start_ns + WINDOWS.c.length_ns).label("end_ns")
     placed = case((waits, PLACED), else_=false()).label("placed")
-    newest = select(*(WINDOWS.c[name] for name in names), end, placed).where(*of_key)
-    one = newest.order_by(WINDOWS.c.start_ns.desc()).limit(bindparam("most")).subquery()
-    key = (one.c.state, one.c.reason_code, one.c.track_section, one.c.vehicle, one.c.placed)
-    return select(*key, *_sums(one)).group_by(*key)
+    chosen = select(*(WINDOWS.c[name] for name in names), end, placed).where(*of_key)
+    newest = chosen.order_by(WINDOWS.c.start_ns.desc()).limit(bindparam("most")).subquery()
+    key = (newest.c.state, newest.c.reason_code, newest.c.track_section, newest.c.vehicle, newest.c.placed)
+    return select(*key, *_sums(newest)).group_by(*key)
 
 
-def _sums(one: Subquery) -> tuple[ColumnElement[Any], ...]:
+def _sums(windows: Subquery) -> tuple[ColumnElement[Any], ...]:
     return (
         func.count().label("windows"),
-        func.min(one.c.start_ns).label("first_ns"),
-        func.max(one.c.start_ns).label("newest_start_ns"),
-        func.max(one.c.end_ns).label("newest_end_ns"),
+        func.min(windows.c.start_ns).label("first_ns"),
+        func.max(windows.c.start_ns).label("newest_start_ns"),
+        func.max(windows.c.end_ns).label("newest_end_ns"),
     )
 
 
@@ -267,11 +263,11 @@ class PlausibilityStore:
 
     def readings_around(self, spans: Sequence[ReadingSpan]) -> Mapping[ReadingSpan, Sequence[MileageReading]]:
         """Return mileages in spans (wheelset, first, last start), one before and one after each, oldest first."""
-        found: dict[ReadingSpan, list[MileageReading]] = {span: [] for span in spans}
-        for first in range(0, len(spans), SPANS):
-            for row in self.connection.execute(_around(spans[first : first + SPANS])):
-                found[row.wheelset, row.from_ns, row.to_ns].append(_reading(row))
-        return found
+        readings: dict[ReadingSpan, list[MileageReading]] = {span: [] for span in spans}
+        for some in batches(spans, SPANS):
+            for row in self.connection.execute(_around(some)):
+                readings[row.of_wheelset, row.from_ns, row.to_ns].append(_reading(row))
+        return readings
 
     def due(self, wheelsets: Collection[str]) -> tuple[Mapping[WindowKey, int], frozenset[str]]:
         """Return the windows of wheelsets that are to be judged, oldest first, and which of these are doubted.
@@ -294,7 +290,10 @@ class PlausibilityStore:
         They are refused; those that are believed again wait to be estimated. What has no samples any more stays.
         """
         rows, marks = [], []
-        for row in self._standing(sorted(verdicts)):
+        names = ("wheelset", "start_ns", "implausible", "implausible_code", "samples_purged_ns")
+        standing = select(*(WINDOWS.c[name] for name in names)).where(keys_given(WINDOWS))
+        keys = batches(sorted(verdicts))
+        for row in (row for some in keys for row in self.connection.execute(standing, {"keys": some}).all()):
             key = (row.wheelset, row.start_ns)
             reason = verdicts[key]
             if reason == implausible_reason(row):
@@ -311,12 +310,6 @@ class PlausibilityStore:
         for wheelset in {mark.wheelset for mark in marks}:
             self.windows.subjects.windows(wheelset)
         return len(marks)
-
-    def _standing(self, keys: Sequence[WindowKey]) -> Iterator[Row[Any]]:
-        names = ("wheelset", "start_ns", "implausible", "implausible_code", "samples_purged_ns")
-        standing = select(*(WINDOWS.c[name] for name in names)).where(keys_given(WINDOWS))
-        for first in range(0, len(keys), BATCH):
-            yield from self.connection.execute(standing, {"keys": keys[first : first + BATCH]}).all()
 
     def left_out(self, wheelset: str, from_ns: int) -> Mapping[ReasonCode, int]:
         """Return how many windows of a wheelset that start at or after a time are not believed, by code."""
@@ -336,10 +329,10 @@ class PlausibilityStore:
         columns = (CHUNKS.c.vehicle, CHUNKS.c.reason_code)
         chosen = (CHUNKS.c.state == ChunkState.REJECTED.value, CHUNKS.c.vehicle.in_(vehicles))
         statement = select(*columns, func.count()).where(*chosen)
-        found: dict[str, dict[str, int]] = {}
+        counts: dict[str, dict[str, int]] = {}
         for vehicle, code, count in self.connection.execute(statement.group_by(*columns).order_by(*columns)):
-            found.setdefault(vehicle, {})[code] = int(count)
-        return found
+            counts.setdefault(vehicle, {})[code] = int(count)
+        return counts
 
 
 def _reading(row: Any) -> MileageReading:  # noqa: ANN401 - a row of READING
@@ -348,22 +341,13 @@ def _reading(row: Any) -> MileageReading:  # noqa: ANN401 - a row of READING
 
 def _around(spans: Sequence[ReadingSpan]) -> Select[Any]:
     """Return the statement for the readings of spans, with one before and one after each."""
-    named = union_all(
-        *(
-            select(
-                literal(wheelset, String).label("wheelset"),
-                literal(from_ns, BigInteger).label("from_ns"),
-                literal(to_ns, BigInteger).label("to_ns"),
-            )
-            for wheelset, from_ns, to_ns in spans
-        )
-    ).subquery("spans")
+    named = spans_given(spans)
     beside = WINDOWS.alias("beside")
-    own = beside.c.wheelset == named.c.wheelset
-    before = select(func.max(beside.c.start_ns)).where(own, beside.c.start_ns < named.c.from_ns)
-    after = select(func.min(beside.c.start_ns)).where(own, beside.c.start_ns > named.c.to_ns)
+    same = beside.c.wheelset == named.c.of_wheelset
+    before = select(func.max(beside.c.start_ns)).where(same, beside.c.start_ns < named.c.from_ns)
+    after = select(func.min(beside.c.start_ns)).where(same, beside.c.start_ns > named.c.to_ns)
     within = (
-        WINDOWS.c.wheelset == named.c.wheelset,
+        WINDOWS.c.wheelset == named.c.of_wheelset,
         WINDOWS.c.start_ns >= func.coalesce(before.correlate(named).scalar_subquery(), named.c.from_ns),
         WINDOWS.c.start_ns <= func.coalesce(after.correlate(named).scalar_subquery(), named.c.to_ns),
     )

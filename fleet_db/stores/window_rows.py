@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import cache
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from sqlalchemy import (
+    BigInteger,
     ColumnElement,
     Connection,
+    FromClause,
     Row,
-    Select,
+    String,
     and_,
     bindparam,
     delete,
     exists,
+    literal,
     or_,
     select,
     tuple_,
+    union_all,
     update,
 )
 
@@ -38,8 +41,9 @@ from estimation.values.windows import (
     WindowRecord,
     WindowState,
 )
-from fleet_db.due import BATCH, estimated, list_due, list_to_estimate, list_waiting
+from fleet_db.due import estimated, list_due, list_to_estimate, list_waiting
 from fleet_db.rows import (
+    batches,
     columns_of,
     nan_if_null,
     null_if_nan,
@@ -76,8 +80,8 @@ REALS = (
 
 def noted_columns() -> list[ColumnElement[bool]]:
     """Return for a statement on wheelsets which columns of ``NOTED`` are not null in one of their windows."""
-    own = WINDOWS.c.wheelset == WHEELSETS.c.serial
-    return [exists().where(own, condition).label(name) for name, condition in NOTED.items()]
+    of_wheelset = WINDOWS.c.wheelset == WHEELSETS.c.serial
+    return [exists().where(of_wheelset, condition).label(name) for name, condition in NOTED.items()]
 
 
 def noted_in(row: Row[Any]) -> frozenset[str]:
@@ -88,6 +92,19 @@ def noted_in(row: Row[Any]) -> frozenset[str]:
 def keys_given(table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows
     """Return the condition that wheelset and start of a row are among the parameters ``keys``."""
     return tuple_(table.c.wheelset, table.c.start_ns).in_(bindparam("keys", expanding=True))
+
+
+def spans_given(spans: Iterable[tuple[str, int, int | None]]) -> FromClause:
+    """Return spans as a table: ``of_wheelset``, ``from_ns`` and ``to_ns``."""
+    rows = (
+        select(
+            literal(wheelset, String).label("of_wheelset"),
+            literal(from_ns, BigInteger).label("from_ns"),
+            literal(to_ns, BigInteger).label("to_ns"),
+        )
+        for wheelset, from_ns, to_ns in spans
+    )
+    return union_all(*rows).subquery("spans")
 
 
 def mark_all(
@@ -134,8 +151,8 @@ def mark_all(
 
 def wait_again(subjects: Subjects, chosen: ColumnElement[bool], what: PassedOver) -> None:
     """Let chosen windows wait to be estimated again; those without samples stay, and ``what`` is noted of them."""
-    of = select(WINDOWS.c.wheelset, WINDOWS.c.track_section).where(chosen).distinct()
-    for wheelset, section in subjects.connection.execute(of):
+    touched = select(WINDOWS.c.wheelset, WINDOWS.c.track_section).where(chosen).distinct()
+    for wheelset, section in subjects.connection.execute(touched):
         subjects.tables(wheelset)
         subjects.windows(wheelset)
         subjects.places(section)
@@ -145,10 +162,8 @@ def wait_again(subjects: Subjects, chosen: ColumnElement[bool], what: PassedOver
 
 def remove_tables(connection: Connection, subjects: Subjects, keys: Sequence[WindowKey]) -> None:
     """Remove the bin tables of some windows, where there are any."""
-    for first in range(0, len(keys), BATCH):
-        tabled = [
-            (row.wheelset, row.start_ns) for row in connection.execute(_tabled(), {"keys": keys[first : first + BATCH]})
-        ]
+    for some in batches(keys):
+        tabled = [(row.wheelset, row.start_ns) for row in connection.execute(TABLED, {"keys": some})]
         list_for_sums(connection, tabled)
         if tabled:
             connection.execute(delete(TABLES).where(keys_given(TABLES)), {"keys": tabled})
@@ -159,8 +174,8 @@ def remove_tables(connection: Connection, subjects: Subjects, keys: Sequence[Win
 def list_for_sums(connection: Connection, keys: Sequence[WindowKey]) -> None:
     """List windows whose bin table or its mileage is another, or is about to be removed: they are summed again."""
     tabled = exists().where(TABLES.c.wheelset == WINDOWS.c.wheelset, TABLES.c.start_ns == WINDOWS.c.start_ns)
-    for first in range(0, len(keys), BATCH):
-        list_due(connection, DueStage.SUMS, and_(keys_given(WINDOWS), tabled), keys=keys[first : first + BATCH])
+    for some in batches(keys):
+        list_due(connection, DueStage.SUMS, and_(keys_given(WINDOWS), tabled), keys=some)
 
 
 def pass_over(connection: Connection, chosen: ColumnElement[bool], what: PassedOver) -> int:
@@ -168,19 +183,22 @@ def pass_over(connection: Connection, chosen: ColumnElement[bool], what: PassedO
 
     That a table is wrong stands before the rest.
     """
-    weaker = [one.value for one in PassedOver][: list(PassedOver).index(what)]
+    weaker = [cause.value for cause in PassedOver][: list(PassedOver).index(what)]
     open_ = or_(WINDOWS.c.passed_over.is_(None), WINDOWS.c.passed_over.in_(weaker))
     noted = update(WINDOWS).where(chosen, open_).values(passed_over=what.value)
     return connection.execute(noted.execution_options(preserve_rowcount=True)).rowcount
 
 
-@cache
-def _tabled() -> Select[Any]:
-    return select(TABLES.c.wheelset, TABLES.c.start_ns).where(keys_given(TABLES)).order_by(*TABLES.primary_key)
+TABLED = select(TABLES.c.wheelset, TABLES.c.start_ns).where(keys_given(TABLES)).order_by(*TABLES.primary_key)
 
 
 def to_window_record(row: Row[Any]) -> WindowRecord:
     """Return the value of a row of windows."""
+    hunting, blows = NOT_HUNTING, NO_BLOWS
+    if row.hunting_share:
+        hunting = Hunting(row.hunting_share, row.hunting_hz or 0.0, row.hunting_amplitude_m or 0.0)
+    if row.blows_share:
+        blows = TurnBlows(row.blows_share, row.blows_m_s2 or 0.0, row.blows_turn_m or 0.0, row.blows_side or 0)
     return WindowRecord(
         wheelset=row.wheelset,
         start_ns=row.start_ns,
@@ -193,8 +211,8 @@ def to_window_record(row: Row[Any]) -> WindowRecord:
             **{name: nan_if_null(getattr(row, name)) for name in REALS},
             gaps=row.gaps,
             sensor_fault=row.sensor_fault,
-            hunting=_hunting(row),
-            blows=_blows(row),
+            hunting=hunting,
+            blows=blows,
         ),
         state=WindowState(row.state),
         reason=stored_reason(row),
@@ -208,18 +226,6 @@ def to_window_record(row: Row[Any]) -> WindowRecord:
 def implausible_reason(row: Any) -> Reason | None:  # noqa: ANN401 - a row of windows, whatever was selected
     """Return why the mileage of a row of windows is not believed; None where it is."""
     return None if row.implausible_code is None else Reason(ReasonCode(row.implausible_code), row.implausible)
-
-
-def _hunting(row: Row[Any]) -> Hunting:
-    if not row.hunting_share:
-        return NOT_HUNTING
-    return Hunting(row.hunting_share, row.hunting_hz or 0.0, row.hunting_amplitude_m or 0.0)
-
-
-def _blows(row: Row[Any]) -> TurnBlows:
-    if not row.blows_share:
-        return NO_BLOWS
-    return TurnBlows(row.blows_share, row.blows_m_s2 or 0.0, row.blows_turn_m or 0.0, row.blows_side or 0)
 
 
 def window_values(window: Window, mileage_km: float) -> dict[str, object]:
@@ -248,21 +254,17 @@ OF_WINDOWS = select(POSITIONS).where(keys_given(POSITIONS))
 
 def positions_of(connection: Connection, keys: Sequence[WindowKey]) -> Mapping[WindowKey, WindowPosition]:
     """Return by wheelset and start where those of some windows were that have been looked at."""
-    found = {}
-    for first in range(0, len(keys), BATCH):
-        for row in connection.execute(OF_WINDOWS, {"keys": keys[first : first + BATCH]}):
-            found[row.wheelset, row.start_ns] = value_of_row(WindowPosition, row)
-    return found
+    rows = (row for some in batches(keys) for row in connection.execute(OF_WINDOWS, {"keys": some}))
+    return {(row.wheelset, row.start_ns): value_of_row(WindowPosition, row) for row in rows}
 
 
 def put_positions(
     connection: Connection, positions: Sequence[WindowPosition]
 ) -> Mapping[WindowKey, WindowPosition | None]:
     """Store where windows were, in the place of what was known; return that of those of which it has changed."""
-    before = positions_of(connection, [(one.wheelset, one.start_ns) for one in positions])
-    changed = {
-        (one.wheelset, one.start_ns): one for one in positions if before.get((one.wheelset, one.start_ns)) != one
-    }
+    by_key = {(position.wheelset, position.start_ns): position for position in positions}
+    before = positions_of(connection, list(by_key))
+    changed = {key: position for key, position in by_key.items() if before.get(key) != position}
     put_rows(connection, POSITIONS, [columns_of(changed[key]) for key in sorted(changed)])
     return {key: before.get(key) for key in changed}
 
@@ -270,8 +272,8 @@ def put_positions(
 def forget_positions(connection: Connection, keys: Sequence[WindowKey]) -> set[str | None]:
     """Forget where some windows were; return the sections that they are on."""
     sections: set[str | None] = set()
-    for first in range(0, len(keys), BATCH):
-        given = {"keys": keys[first : first + BATCH]}
-        sections.update(connection.scalars(select(WINDOWS.c.track_section).where(keys_given(WINDOWS)), given))
-        connection.execute(delete(POSITIONS).where(keys_given(POSITIONS)), given)
+    on = select(WINDOWS.c.track_section).where(keys_given(WINDOWS))
+    for some in batches(keys):
+        sections.update(connection.scalars(on, {"keys": some}))
+        connection.execute(delete(POSITIONS).where(keys_given(POSITIONS)), {"keys": some})
     return sections

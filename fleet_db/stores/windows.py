@@ -23,7 +23,7 @@ from sqlalchemy import (
     tuple_,
 )
 
-from estimation.errors import NotFoundError, PurgedError
+from estimation.errors import PurgedError
 from estimation.values.alerts import MileageNow
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import SIGNATURES
@@ -37,8 +37,19 @@ from estimation.values.windows import (
     WindowRecord,
     WindowState,
 )
-from fleet_db.due import BATCH, list_due, list_for_alignment, positions_forgotten, windows_changed, windows_left
-from fleet_db.rows import by_wheelset, insert_new, key_given, key_of, on_sections, replace, table_of
+from fleet_db.due import list_due, list_for_alignment, positions_forgotten, windows_changed, windows_left
+from fleet_db.rows import (
+    batches,
+    by_wheelset,
+    given,
+    insert_new,
+    key_given,
+    key_of,
+    on_sections,
+    present,
+    replace,
+    table_of,
+)
 from fleet_db.stores.window_rows import (
     NOTED_OF,
     keys_given,
@@ -93,13 +104,15 @@ class WindowStore:
             NotFoundError: The wheelset is unknown.
         """
         digest = window_digest(window)
-        found = self._stored(window.wheelset, window.start_ns)
-        if found.content_digest == digest:
-            if found.samples_purged_ns is None and not self.files.has(digest, found.sample_bytes):
+        key = (window.wheelset, window.start_ns)
+        row = self.connection.execute(STORED, {"wheelset": window.wheelset, "start_ns": window.start_ns}).first()
+        stored = present(row, "wheelset", window.wheelset)
+        if stored.content_digest == digest:
+            if stored.samples_purged_ns is None and not self.files.has(digest, stored.sample_bytes):
                 self.files.save(window, digest)
-                self.healed([(window.wheelset, window.start_ns)])
-            return self._set_mileage(window, found, mileage_km)
-        if found.table_purged_ns is not None:
+                self.healed([key])
+            return self._set_mileage(window, stored, mileage_km)
+        if stored.table_purged_ns is not None:
             self.pass_over(window.wheelset, window.start_ns, PassedOver.SUPERSEDED)
             return False
         values = window_values(window, mileage_km) | {
@@ -109,11 +122,10 @@ class WindowStore:
             "samples_purged_ns": None,
             "passed_over": None,
         }
-        key = (window.wheelset, window.start_ns)
-        hunts = max(window.quality.hunting.share, found.hunting_share or 0.0) >= HUNTING_SHARE
+        hunts = max(window.quality.hunting.share, stored.hunting_share or 0.0) >= HUNTING_SHARE
         self.subjects.windows(window.wheelset, window.vehicle if hunts else None)
         self.subjects.places(window.track_section)
-        if found.content_digest is None:
+        if stored.content_digest is None:
             if not insert_new(self.connection, WINDOWS, values):  # another transaction has stored it meanwhile
                 return self.put(window, mileage_km, recorded_ns)
             windows_changed(self.connection, [key])
@@ -122,9 +134,9 @@ class WindowStore:
         replace(self.connection, WINDOWS, values)
         windows_changed(self.connection, [key])
         list_for_alignment(self.subjects, {key: window.track_section})
-        if window.track_section != found.track_section:
+        if window.track_section != stored.track_section:
             windows_left(self.subjects, [key])
-        self.subjects.places(found.track_section)
+        self.subjects.places(stored.track_section)
         remove_tables(self.connection, self.subjects, [key])
         return True
 
@@ -134,12 +146,10 @@ class WindowStore:
         Args:
             held: Whether nobody else may change them until this transaction, which writes, has ended.
         """
-        found: builtins.list[WindowRecord] = []
-        ordered = sorted(set(keys))
-        for first in range(0, len(ordered), BATCH):
-            rows = self.connection.execute(_several(held), {"keys": ordered[first : first + BATCH]})
-            found += [to_window_record(row) for row in rows]
-        return found
+        records: builtins.list[WindowRecord] = []
+        for some in batches(sorted(set(keys))):
+            records += map(to_window_record, self.connection.execute(_several(held), {"keys": some}))
+        return records
 
     def get(self, wheelset: str, start_ns: int) -> WindowRecord | None:
         """Return one window's record."""
@@ -172,7 +182,7 @@ class WindowStore:
 
         Where they were is looked for again, if that was done without their samples.
         """
-        estimated = [one.key for one in self.several(keys) if one.state is WindowState.ESTIMATED]
+        estimated = [record.key for record in self.several(keys) if record.state is WindowState.ESTIMATED]
         self._forget_positions(estimated, POSITIONS.c.reason_code == ReasonCode.FILE_DAMAGED.value)
         self.look_again([key for key in keys if key not in estimated])
         windows_changed(self.connection, keys, (SIGNATURES, DueStage.TABLES))
@@ -189,7 +199,8 @@ class WindowStore:
             PurgedError: Its samples have been purged.
             DamagedError: Its file is missing or damaged; names the file.
         """
-        row = _digest(self.connection, wheelset, start_ns)
+        stored = self.connection.execute(DIGEST, {"key_wheelset": wheelset, "key_start_ns": start_ns}).first()
+        row = present(stored, "window", f"{wheelset}@{start_ns}")
         if row.samples_purged_ns is not None:
             raise _purged(wheelset, start_ns)
         return self.files.load(row.content_digest)
@@ -258,12 +269,8 @@ class WindowStore:
 
     def list(self, wheelset: str, from_ns: int | None = None, to_ns: int | None = None) -> Sequence[WindowRecord]:
         """Return windows of a wheelset that start in ``[from_ns, to_ns)``, oldest first."""
-        statement = select(WINDOWS).where(WINDOWS.c.wheelset == wheelset)
-        if from_ns is not None:
-            statement = statement.where(WINDOWS.c.start_ns >= from_ns)
-        if to_ns is not None:
-            statement = statement.where(WINDOWS.c.start_ns < to_ns)
-        return self._records(statement.order_by(WINDOWS.c.start_ns))
+        within = [*given(from_ns, WINDOWS.c.start_ns.__ge__), *given(to_ns, WINDOWS.c.start_ns.__lt__)]
+        return self._records(self._of(wheelset).where(*within))
 
     def refused(self, wheelset: str, codes: Sequence[ReasonCode]) -> Sequence[WindowRecord]:
         """Return the windows of a wheelset that were refused for some reasons, oldest first."""
@@ -282,16 +289,13 @@ class WindowStore:
 
     def latest(self, wheelset: str) -> WindowRecord | None:
         """Return the window of a wheelset that starts last."""
-        statement = select(WINDOWS).where(WINDOWS.c.wheelset == wheelset).order_by(WINDOWS.c.start_ns.desc()).limit(1)
-        found = self._records(statement)
-        return found[0] if found else None
+        of_wheelset = select(WINDOWS).where(WINDOWS.c.wheelset == wheelset)
+        return next(iter(self._records(of_wheelset.order_by(WINDOWS.c.start_ns.desc()).limit(1))), None)
 
     def hunted(self, vehicle: str, from_ns: int) -> frozenset[int]:
         """Return the starts, from ``from_ns`` on, of windows in which a wheelset of a vehicle hunts."""
         statement = select(WINDOWS.c.start_ns).where(
-            WINDOWS.c.vehicle == vehicle,
-            WINDOWS.c.start_ns >= from_ns,
-            WINDOWS.c.hunting_share >= HUNTING_SHARE,
+            WINDOWS.c.vehicle == vehicle, WINDOWS.c.start_ns >= from_ns, WINDOWS.c.hunting_share >= HUNTING_SHARE
         )
         return frozenset(self.connection.scalars(statement))
 
@@ -301,79 +305,56 @@ class WindowStore:
         Args:
             count: At most so many of each.
         """
-        found: dict[str, builtins.list[WindowRecord]] = {}
-        for record in self._records(_in_service(wheelsets, count)):
-            found.setdefault(record.wheelset, []).append(record)
-        return found
+        return by_wheelset(self._records(_in_service(wheelsets, count)), lambda record: record)
 
     def mileage_then(self, wheelset: str, as_of_ns: int) -> MileageNow | None:
         """Return the newest mileage of the windows recorded until a time that is believed; None where none is."""
-        chosen = (
-            WINDOWS.c.wheelset == wheelset,
-            WINDOWS.c.recorded_ns <= as_of_ns,
-            WINDOWS.c.implausible_code.is_(None),
-        )
-        statement = select(WINDOWS.c.mileage_km, WINDOWS.c.start_ns).where(*chosen)
+        believed = (WINDOWS.c.recorded_ns <= as_of_ns, WINDOWS.c.implausible_code.is_(None))
+        statement = select(WINDOWS.c.mileage_km, WINDOWS.c.start_ns).where(WINDOWS.c.wheelset == wheelset, *believed)
         row = self.connection.execute(statement.order_by(WINDOWS.c.start_ns.desc()).limit(1)).first()
         return None if row is None else MileageNow(*row)
 
     def page(self, wheelset: str, after_start_ns: int | None, limit: int) -> Sequence[WindowRecord]:
         """Return at most ``limit`` windows of a wheelset that start after ``after_start_ns``, oldest first."""
-        statement = select(WINDOWS).where(WINDOWS.c.wheelset == wheelset)
-        if after_start_ns is not None:
-            statement = statement.where(WINDOWS.c.start_ns > after_start_ns)
-        return self._records(statement.order_by(WINDOWS.c.start_ns).limit(limit))
+        behind = given(after_start_ns, WINDOWS.c.start_ns.__gt__)
+        return self._records(self._of(wheelset).where(*behind).limit(limit))
 
     def counts(self) -> Mapping[str, int]:
         """Return how many windows are in each state."""
         statement = select(WINDOWS.c.state, func.count()).group_by(WINDOWS.c.state)
-        found = {row[0]: int(row[1]) for row in self.connection.execute(statement)}
-        return {state.value: found.get(state.value, 0) for state in WindowState}
-
-    def _stored(self, wheelset: str, start_ns: int) -> Row[Any, Any, Any]:
-        row: Row[Any, Any, Any] | None = self.connection.execute(
-            STORED, {"wheelset": wheelset, "start_ns": start_ns}
-        ).first()
-        if row is None:
-            raise NotFoundError("wheelset", wheelset)
-        return row
+        counted = {row[0]: int(row[1]) for row in self.connection.execute(statement)}
+        return {state.value: counted.get(state.value, 0) for state in WindowState}
 
     def _forget_positions(self, keys: Sequence[WindowKey], *chosen: ColumnElement[bool]) -> None:
         """Let it be found again where windows were: their sections are looked at."""
-        for first in range(0, len(keys), BATCH):
-            given = {"keys": keys[first : first + BATCH]}
+        for some in batches(keys):
             on = select(WINDOWS.c.track_section).where(keys_given(WINDOWS)).distinct()
-            for section in self.connection.scalars(on, given):
+            for section in self.connection.scalars(on, {"keys": some}):
                 self.subjects.places(section)
-            own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(given["keys"])
-            positions_forgotten(self.subjects, and_(own, *chosen))
-            self.connection.execute(delete(POSITIONS).where(keys_given(POSITIONS), *chosen), given)
+            positions_forgotten(self.subjects, and_(tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(some), *chosen))
+            self.connection.execute(delete(POSITIONS).where(keys_given(POSITIONS), *chosen), {"keys": some})
 
-    def _set_mileage(self, window: Window, found: Row[Any, Any, Any], mileage_km: float) -> bool:
-        if found.mileage_km == mileage_km:
+    def _set_mileage(self, window: Window, stored: Row[Any], mileage_km: float) -> bool:
+        if stored.mileage_km == mileage_km:
             return False
-        if found.table_purged_ns is not None:
+        if stored.table_purged_ns is not None:
             self.pass_over(window.wheelset, window.start_ns, PassedOver.RECORD_CHANGED)
             return False
         values = {"wheelset": window.wheelset, "start_ns": window.start_ns, "mileage_km": mileage_km}
         replace(self.connection, WINDOWS, values)
         list_due(self.connection, DueStage.MILEAGES, key_given(WINDOWS), **key_of(WINDOWS, values))
         list_for_sums(self.connection, [(window.wheelset, window.start_ns)])
-        list_for_alignment(self.subjects, {(window.wheelset, window.start_ns): found.track_section})
+        list_for_alignment(self.subjects, {(window.wheelset, window.start_ns): stored.track_section})
         self.subjects.tables(window.wheelset)
         self.subjects.windows(window.wheelset)
-        self.subjects.places(found.track_section)
+        self.subjects.places(stored.track_section)
         return True
+
+    def _of(self, wheelset: str) -> Select[Any]:
+        return select(WINDOWS).where(WINDOWS.c.wheelset == wheelset).order_by(WINDOWS.c.start_ns)
 
     def _records(self, statement: Select[Any]) -> builtins.list[WindowRecord]:
         return [to_window_record(row) for row in self.connection.execute(statement)]
-
-
-def _digest(connection: Connection, wheelset: str, start_ns: int) -> Row[Any, Any]:
-    row: Row[Any, Any] | None = connection.execute(DIGEST, {"key_wheelset": wheelset, "key_start_ns": start_ns}).first()
-    if row is None:
-        raise NotFoundError("window", f"{wheelset}@{start_ns}")
-    return row
 
 
 def _purged(wheelset: str, start_ns: int) -> PurgedError:
@@ -383,8 +364,8 @@ def _purged(wheelset: str, start_ns: int) -> PurgedError:
 def _in_service(wheelsets: Collection[str], count: int) -> Select[Any]:
     """Return the statement for the newest windows of mountings that last: of each by one range of the index."""
     newest = WINDOWS.alias("newest")
-    own = (newest.c.wheelset == MOUNTINGS.c.wheelset, newest.c.start_ns >= MOUNTINGS.c.from_ns)
-    last = select(newest.c.start_ns).where(*own).order_by(newest.c.start_ns.desc()).limit(1).offset(count - 1)
+    since_mounted = (newest.c.wheelset == MOUNTINGS.c.wheelset, newest.c.start_ns >= MOUNTINGS.c.from_ns)
+    last = select(newest.c.start_ns).where(*since_mounted).order_by(newest.c.start_ns.desc()).limit(1).offset(count - 1)
     from_ns = func.coalesce(last.correlate(MOUNTINGS).scalar_subquery(), MOUNTINGS.c.from_ns).label("from_ns")
     chosen = (MOUNTINGS.c.wheelset.in_(wheelsets), MOUNTINGS.c.to_ns.is_(None))
     begins = select(MOUNTINGS.c.wheelset, from_ns).where(*chosen).cte("begins").prefix_with("MATERIALIZED")

@@ -12,20 +12,9 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, TypeVar
 
-from sqlalchemy import (
-    Column,
-    ColumnElement,
-    Connection,
-    ScalarSelect,
-    Select,
-    delete,
-    exists,
-    insert,
-    select,
-    tuple_,
-)
+from sqlalchemy import Column, ColumnElement, Connection, ScalarSelect, Select, delete, insert, select, tuple_
 
-from estimation.errors import DamagedError, NotFoundError
+from estimation.errors import DamagedError
 from estimation.values.alerts import MileageNow, OpenAlert, Severity, Urgency, WorklistRow
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Status
@@ -38,7 +27,7 @@ from estimation.vehicle.vehicle_class import VehicleClass
 from estimation.worklist.stored import FORM, STAGE, WorklistInputs
 from fleet_db.packed_values import to_document
 from fleet_db.records import RecordKind
-from fleet_db.rows import equal, insert_new, replace_all, table_of, value_of_row
+from fleet_db.rows import batches, equal, given, insert_new, present, replace_all, table_of, value_of_row
 from fleet_db.stores.geometries import GeometryStore, TrendStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import is_voided
@@ -73,8 +62,9 @@ class WorklistReader:
             return []
         self.geometries.read_with([TREND], serials)
         geometries, trends = _readable(self.geometries.current_of, serials), _readable(self.trends.of, serials)
-        found = []
-        vehicles = self.registry.vehicles_of({one.mounting.vehicle for one in records if one.mounting is not None})
+        stored = []
+        mountings = [record.mounting for record in records]
+        vehicles = self.registry.vehicles_of({mounting.vehicle for mounting in mountings if mounting is not None})
         damaged = [serial for serial in serials if isinstance(trends.get(serial), Reason)]
         refused = self._refused(records, {**geometries, **{serial: trends[serial] for serial in damaged}})
         for record in records:
@@ -84,9 +74,9 @@ class WorklistReader:
             if mounting is not None and (mileage is None or mileage.at_ns < mounting.from_ns):
                 mileage = MileageNow(mounting.wheelset_mileage_km, mounting.from_ns)
             current, trend = geometries.get(serial), trends.get(serial)
-            failure = next((one for one in (current, trend) if isinstance(one, Reason)), None)
+            failure = next((result for result in (current, trend) if isinstance(result, Reason)), None)
             geometry = None if failure is not None or isinstance(current, Reason) else current
-            found.append(
+            stored.append(
                 WorklistInputs(
                     wheelset=record,
                     vehicle=vehicle,
@@ -100,7 +90,7 @@ class WorklistReader:
                     refused=refused.get(serial, {}),
                 )
             )
-        return found
+        return stored
 
     def _refused(
         self, wheelsets: Sequence[WheelsetRecord], geometries: Mapping[str, object]
@@ -108,20 +98,19 @@ class WorklistReader:
         """Return what the newest windows of wheelsets are refused for that have no geometry of their profile."""
         without = {}
         for wheelset in wheelsets:
-            found = geometries.get(wheelset.serial)
-            turned = wheelset.reprofilings
-            if not (isinstance(found, GeometryRecord) and found.geometry.windows and found.baseline == len(turned)):
-                without[wheelset.serial] = max((one.at_ns for one in turned), default=None)
+            record, turned = geometries.get(wheelset.serial), wheelset.reprofilings
+            if not (isinstance(record, GeometryRecord) and record.geometry.windows and record.baseline == len(turned)):
+                without[wheelset.serial] = max((reprofiling.at_ns for reprofiling in turned), default=None)
         return refused_by_code(self.connection, without)
 
     def _class(self, code: str) -> VehicleClass | None:
         """Return a class; None where it is not on file or damaged, which stops nobody from storing."""
         if code not in self.classes:
             try:
-                found = self.registry.vehicle_class(code)
+                on_file = self.registry.vehicle_class(code)
             except DamagedError:
-                found = None
-            self.classes[code] = None if found is None else found.vehicle_class
+                on_file = None
+            self.classes[code] = None if on_file is None else on_file.vehicle_class
         return self.classes[code]
 
     def _windows_and_alerts(
@@ -152,7 +141,7 @@ def _readable(
     except DamagedError as error:
         if len(serials) == 1:
             return {serials[0]: Reason(code_of_error(error), first_line(error))}
-        return {serial: record for one in serials for serial, record in _readable(read, [one]).items()}
+        return {serial: record for single in serials for serial, record in _readable(read, [single]).items()}
 
 
 def _newest(column: Column[int] | Column[float], chosen: ColumnElement[bool]) -> ScalarSelect[float]:
@@ -177,14 +166,7 @@ _WINDOWS_AND_ALERTS = (
 )
 
 
-def not_voided(connection: Connection, serials: Sequence[str]) -> list[str]:
-    """Return the wheelsets that are on file and not voided, by serial."""
-    chosen = (WHEELSETS.c.serial.in_(serials), ~is_voided(RecordKind.WHEELSET, WHEELSETS.c.serial))
-    return list(connection.scalars(select(WHEELSETS.c.serial).where(*chosen).order_by(WHEELSETS.c.serial)))
-
-
 ENTRIES, KINDS = table_of(WorklistEntryRow), table_of(WorklistAlertRow)
-AT_ONCE = 500
 ALL = 2**31 - 1
 _log = logging.getLogger(__name__)
 
@@ -264,8 +246,8 @@ class WorklistStore:
             return self._entries(_behind(base, None, after, descending=descending).limit(limit))
         rows: list[WorklistEntry] = []
         if after is None or after.key is not None:
-            known = base.add_columns(key.label("key")).where(key.is_not(None))
-            rows += self._entries(_behind(known, key, after, descending=descending).limit(limit))
+            with_key = base.add_columns(key.label("key")).where(key.is_not(None))
+            rows += self._entries(_behind(with_key, key, after, descending=descending).limit(limit))
             after = None
         if len(rows) < limit and key.nullable:
             unknown = base.where(key.is_(None))
@@ -279,15 +261,12 @@ class WorklistStore:
     def row(self, serial: str) -> str:
         """Return the document of one wheelset; raises NotFoundError."""
         of_wheelset = select(ENTRIES.c.document).where(ENTRIES.c.wheelset == serial)
-        document: str | None = self.connection.scalar(of_wheelset)
-        if document is None:
-            raise NotFoundError("wheelset", serial)
-        return document
+        return str(present(self.connection.scalar(of_wheelset), "wheelset", serial))
 
     def refresh(self, serials: Sequence[str]) -> None:
         """Make the rows of wheelsets again, in their order: the last thing that a transaction does."""
-        for part in (serials[first : first + AT_ONCE] for first in range(0, len(serials), AT_ONCE)):
-            before = self._locked(part)
+        for some in batches(serials):
+            before = self._locked(some)
             rows = [_row(inputs) for inputs in self.reader.read(sorted(before))]
             self._store(rows, before)
             gone = sorted(before.keys() - {row.wheelset.serial for row in rows})
@@ -306,7 +285,9 @@ class WorklistStore:
         locking = select(*columns).where(ENTRIES.c.wheelset.in_(serials)).order_by(ENTRIES.c.wheelset).with_for_update()
         before = {wheelset: (document, severity) for wheelset, document, severity in self.connection.execute(locking)}
         missing = [serial for serial in serials if serial not in before]
-        added = not_voided(self.connection, missing) if missing else ()
+        not_voided = (WHEELSETS.c.serial.in_(missing), ~is_voided(RecordKind.WHEELSET, WHEELSETS.c.serial))
+        serials_added = select(WHEELSETS.c.serial).where(*not_voided).order_by(WHEELSETS.c.serial)
+        added = self.connection.scalars(serials_added).all() if missing else ()
         for serial in added:
             insert_new(self.connection, ENTRIES, {**_EMPTY, "wheelset": serial})
         if added:  # the first rows are of this form
@@ -319,10 +300,10 @@ class WorklistStore:
             values = _values(row)
             if before[row.wheelset.serial][0] != values["document"]:
                 changed.append(values)
-                alerts = dict.fromkeys(one.kind for one in row.state.alerts)
-                kinds += [{"kind": kind, "wheelset": row.wheelset.serial} for kind in alerts]
+                of_alerts = dict.fromkeys(alert.kind for alert in row.state.alerts)
+                kinds += [{"kind": kind, "wheelset": row.wheelset.serial} for kind in of_alerts]
         replace_all(self.connection, ENTRIES, changed)
-        had = [one["wheelset"] for one in changed if before[one["wheelset"]][1] is not None]
+        had = [values["wheelset"] for values in changed if before[values["wheelset"]][1] is not None]
         if had:
             self.connection.execute(delete(KINDS).where(KINDS.c.wheelset.in_(had)))
         if kinds:
@@ -359,11 +340,8 @@ def _row(inputs: WorklistInputs) -> WorklistRow:
 def _chosen(statement: Select[Any], chosen: WorklistFilter) -> Select[Any]:
     wanted = {name: getattr(chosen, name) for name in ("fleet", "vehicle", "vehicle_class", "status", "urgency")}
     statement = statement.where(*equal(ENTRIES, **wanted, worst_severity=chosen.alert_severity))
-    if chosen.alert_kind is not None:
-        statement = statement.where(
-            exists().where(KINDS.c.kind == chosen.alert_kind, KINDS.c.wheelset == ENTRIES.c.wheelset)
-        )
-    return statement
+    with_alert = select(KINDS.c.wheelset).where(KINDS.c.wheelset == ENTRIES.c.wheelset)
+    return statement.where(*given(chosen.alert_kind, lambda kind: with_alert.where(KINDS.c.kind == kind).exists()))
 
 
 def _behind(

@@ -2,16 +2,16 @@
 
 from sqlalchemy import CheckConstraint, ForeignKey, Index, String, text
 
-from estimation.values.alerts import AlertEventKind, Condition, Severity
-from fleet_db.records import DeliveryState, DisabledReason, WebhookState
-from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Real, Serial, column, one_of, partial_index
+from estimation.values.alerts import Alert, AlertEvent
+from fleet_db.records import Delivery, DisabledReason, Webhook
+from fleet_db.tables.base import Base, Code, Count, Name, Nanoseconds, Serial, column, one_of, partial_index
 
 OPEN = text("closed_ns IS NULL")
 OF_FLEET = text("wheelset IS NULL AND track_section IS NULL AND closed_ns IS NULL")
 OF_SECTION = text("track_section IS NOT NULL AND closed_ns IS NULL")
 
 
-class AlertRow(Base, table="alerts", numbered=True):
+class AlertRow(Base, table="alerts", numbered=True, of=Alert):
     """One alert, of a wheelset, of a track section, or (without both) of a fleet.
 
     The partial unique indexes are what keeps a second open one of its kind out.
@@ -19,8 +19,6 @@ class AlertRow(Base, table="alerts", numbered=True):
 
     constraints = (
         CheckConstraint("kind <> ''", name="kind_named"),  # the rules define the kinds
-        one_of("severity", Severity),
-        one_of("condition", Condition),
         CheckConstraint("version > 0", name="version_positive"),
         CheckConstraint("occurrence_count > 0", name="occurrences_counted"),
         partial_index("uq_alerts_one_open", "fleet", "wheelset", "kind", where=OPEN, unique=True),
@@ -36,46 +34,21 @@ class AlertRow(Base, table="alerts", numbered=True):
     fleet: str = column(ForeignKey("fleets.code"))
     wheelset: str | None = column(ForeignKey("wheelsets.serial"))
     kind: str = column(String(32))
-    severity: str = column(String(16))
-    condition: str = column(String(16))
-    opened_ns: Nanoseconds
-    last_seen_ns: Nanoseconds
-    occurrence_count: Count
-    probability: Real | None
-    evidence: Json
-    action: Name
-    raise_limit: Real | None
-    clear_limit: Real | None
-    cleared_ns: Nanoseconds | None
-    closed_ns: Nanoseconds | None
     close_reason: Name | None
     close_code: Code | None
-    acknowledged_by: Name | None
-    acknowledged_ns: Nanoseconds | None
-    shelved_until_ns: Nanoseconds | None
-    shelved_reason: Name | None
-    external_refs: Json
     fleet_alert_id: Count | None = column(ForeignKey("alerts.alert_id"))
-    rules_version: Name | None
     track_section: str | None = column(String(64))
     version: int
 
 
-class AlertEventRow(Base, table="alert_events", numbered=True):
+class AlertEventRow(Base, table="alert_events", numbered=True, of=AlertEvent):
     """One line of the feed, with the alert as it was right after. ``sequence`` grows in commit order.
 
     Not ``in_feed``: the event of a member that its fleet alert stands for.
     """
 
-    constraints = (one_of("kind", AlertEventKind),)
-
     sequence: Serial
     alert_id: Count = column(ForeignKey("alerts.alert_id"), index=True)
-    kind: str = column(String(16))
-    alert: Json
-    recorded_ns: Nanoseconds
-    actor: Name
-    note: Name
     in_feed: bool
 
 
@@ -91,28 +64,16 @@ class FeedBranchRow(Base, table="feed_branches", numbered=True):
     began_ns: Nanoseconds
 
 
-class WebhookRow(Base, table="webhooks", numbered=True):
+class WebhookRow(Base, table="webhooks", numbered=True, of=Webhook, without=("bound",)):
     """One webhook; ``position`` is the number of the event up to which everything is delivered."""
 
     constraints = (
-        one_of("state", WebhookState),
         one_of("disabled_reason", DisabledReason),
         CheckConstraint("(state = 'disabled') = (disabled_reason IS NOT NULL)", name="disabled_with_reason"),
     )
 
     webhook_id: Serial
-    url: Name
-    description: Name
-    fleets: Json
-    kinds: Json
-    severities: Json
-    state: str = column(String(16))
     disabled_reason: str | None = column(String(32))
-    since_ns: Nanoseconds
-    created_ns: Nanoseconds
-    created_by: Name
-    position: Count
-    revision: Count
     delivered: Count
     failed: Count
 
@@ -136,11 +97,10 @@ class WebhookSecretRow(Base, table="webhook_secrets", numbered=True):
     until_ns: Nanoseconds | None
 
 
-class WebhookDeliveryRow(Base, table="webhook_deliveries", numbered=True):
+class WebhookDeliveryRow(Base, table="webhook_deliveries", numbered=True, of=Delivery):
     """An event on its way to a webhook; purged when it is old, unless it waits."""
 
     constraints = (
-        one_of("state", DeliveryState),
         CheckConstraint("(state = 'waiting') = (next_ns IS NOT NULL)", name="waiting_for_a_time"),
         Index(None, "webhook_id", "delivery_id"),
         Index(None, "state", "last_ns"),
@@ -148,16 +108,6 @@ class WebhookDeliveryRow(Base, table="webhook_deliveries", numbered=True):
 
     delivery_id: Serial
     webhook_id: int = column(ForeignKey("webhooks.webhook_id"))
-    sequence: Count
-    event_id: Name
     event_kind: str = column(String(32))
-    alert_id: Count
-    event_ns: Nanoseconds
-    state: str = column(String(16))
-    attempts: Count
-    first_ns: Nanoseconds
-    last_ns: Nanoseconds
-    next_ns: Nanoseconds | None
     status_code: int | None
     failure: str | None = column(String(32))
-    detail: Name | None

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from enum import Enum
 from inspect import get_annotations
 from types import NoneType
-from typing import Annotated, Any, ClassVar, get_args
+from typing import Annotated, Any, ClassVar, cast, get_args, get_origin
 
 from sqlalchemy import (
     JSON,
@@ -25,6 +26,9 @@ from sqlalchemy import (
     TextClause,
 )
 from sqlalchemy.schema import SchemaItem
+
+from estimation.values.reasons import Reason
+from fleet_db.fields import hints_of
 
 NAMING = {
     "ix": "ix_%(table_name)s_%(column_0_N_name)s",
@@ -59,30 +63,56 @@ Packed = Annotated[bytes, column(LargeBinary)]
 # The JSON type keeps the text as written (jsonb would reorder keys and rewrite numbers).
 Json = Annotated[Any, column(JSON)]
 PLAIN = {int: Integer, bool: Boolean}
+OF_FIELDS: Mapping[Any, Any] = {str: Text, int: BigInteger, float: Double, bool: Boolean}
+"""Types of columns that are fields of a value; what is none of these is JSON."""
 
 
 class Base:
     """Root of all tables: of each with its name, and whether SQLite is to use no number of a row twice.
 
     An annotation is a column. A mapper of SQLAlchemy would map rows to objects that nothing here needs, at every start.
+    Where ``of`` names the class whose values the rows hold, each of its fields but those in ``without`` is a column,
+    and only one of another type or with a key is annotated.
     """
 
     metadata: ClassVar[MetaData] = MetaData(naming_convention=NAMING)
     table: ClassVar[Table]
     constraints: ClassVar[tuple[SchemaItem, ...]] = ()
 
-    def __init_subclass__(cls, *, table: str, numbered: bool = False) -> None:
-        columns = [_column(cls, name, annotation) for name, annotation in get_annotations(cls).items()]
-        cls.table = Table(table, Base.metadata, *columns, *cls.constraints, sqlite_autoincrement=numbered)
+    def __init_subclass__(
+        cls, *, table: str, numbered: bool = False, of: type | None = None, without: Iterable[str] = ()
+    ) -> None:
+        annotated = get_annotations(cls)
+        fields = {} if of is None else dict(hints_of(cast("Hashable", of)))
+        items: list[SchemaItem] = []
+        for name, hint in (fields | annotated).items():
+            if name in annotated:
+                items.append(_column(cls, name, hint))
+            elif name not in without:
+                items += _columns_of_field(name, hint)
+        cls.table = Table(table, Base.metadata, *items, *cls.constraints, sqlite_autoincrement=numbered)
+
+
+def _columns_of_field(name: str, hint: Any) -> Iterator[SchemaItem]:  # noqa: ANN401 - a type
+    nullable = NoneType in get_args(hint)
+    kind = next(part for part in get_args(hint) if part is not NoneType) if nullable else hint
+    if kind is Reason:
+        yield Column("reason", Text, nullable=False)
+        yield Column("reason_code", String(64), nullable=True)
+    elif isinstance(kind, type) and issubclass(kind, Enum):
+        yield Column(name, String(16), nullable=nullable)
+        yield one_of(name, (str(member.value) for member in kind))
+    else:
+        yield Column(name, OF_FIELDS.get(get_origin(kind) or kind, JSON), nullable=nullable)
 
 
 def _column(row: type[Base], name: str, annotation: Any) -> Column[Any]:  # noqa: ANN401 - a type
     nullable = NoneType in get_args(annotation)
     kind = get_args(annotation)[0] if nullable else annotation
     (shared,) = getattr(kind, "__metadata__", [Described()])
-    own = row.__dict__.get(name, Described())
-    parts = (*shared.parts, *own.parts) or [PLAIN[kind]]
-    return Column(name, *parts, **{"nullable": nullable, **shared.options, **own.options})
+    described = row.__dict__.get(name, Described())
+    parts = (*shared.parts, *described.parts) or [PLAIN[kind]]
+    return Column(name, *parts, **{"nullable": nullable, **shared.options, **described.options})
 
 
 def one_of(column: str, values: Iterable[str]) -> CheckConstraint:

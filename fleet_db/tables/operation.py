@@ -4,12 +4,12 @@ from sqlalchemy import CheckConstraint, ForeignKey, Index, String, Text, text
 
 from estimation.values.alerts import Severity, Urgency
 from estimation.values.quantities import Status
-from estimation.values.runs import JobOutcome
+from estimation.values.runs import JobRun, Result
+from fleet_db.records import ApiKey, AuditEntry
 from fleet_db.tables.base import (
     Base,
     Code,
     Count,
-    Json,
     Name,
     Nanoseconds,
     Packed,
@@ -21,11 +21,10 @@ from fleet_db.tables.base import (
 )
 
 
-class JobRunRow(Base, table="job_runs", numbered=True):
+class JobRunRow(Base, table="job_runs", numbered=True, of=JobRun):
     """One run; ``finished_ns`` is null until its end is recorded. ``owner`` is the lease of its process."""
 
     constraints = (
-        one_of("outcome", JobOutcome),
         CheckConstraint("(outcome = 'running') = (finished_ns IS NULL)", name="running_until_finished"),
         Index(None, "job", "run_id"),
     )
@@ -33,11 +32,6 @@ class JobRunRow(Base, table="job_runs", numbered=True):
     run_id: Serial
     job: str = column(String(64))
     trigger: str = column(String(16))
-    started_ns: Nanoseconds
-    finished_ns: Nanoseconds | None
-    outcome: str = column(String(16))
-    counts: Json
-    error: Name | None
     owner: Count | None
 
 
@@ -48,10 +42,7 @@ class WorkLeaseRow(Base, table="work_leases", numbered=True):
     process that runs the job, where this one ends with it; ``unit`` the number of the unit of work.
     """
 
-    constraints = (
-        CheckConstraint("length_ns > 0", name="length_positive"),
-        Index(None, "until_ns"),
-    )
+    constraints = (CheckConstraint("length_ns > 0", name="length_positive"), Index(None, "until_ns"))
 
     lease_id: Serial
     holder: Name
@@ -108,35 +99,22 @@ class StoredSettingRow(Base, table="stored_settings"):
     recorded_ns: Nanoseconds
 
 
-class ApiKeyRow(Base, table="api_keys"):
+class ApiKeyRow(Base, table="api_keys", of=ApiKey):
     """One key; only the digest of its secret is kept. ``fleets`` null is all fleets."""
 
     prefix: str = column(String(8), primary_key=True)
     digest: Code
-    owner: Name
-    scopes: Json
-    fleets: Json | None
-    created_ns: Nanoseconds
-    created_by: Name
-    expires_ns: Nanoseconds | None
-    revoked_ns: Nanoseconds | None
-    last_used_ns: Nanoseconds | None
 
 
-class AuditRow(Base, table="audit_entries", numbered=True):
+class AuditRow(Base, table="audit_entries", numbered=True, of=AuditEntry):
     """One change or refusal; rows are only added, and purged when they are old."""
 
     constraints = (Index(None, "at_ns"), Index(None, "key_prefix", "entry_id"))
 
     entry_id: Serial
-    at_ns: Nanoseconds
-    owner: Name | None
     key_prefix: str | None = column(String(64))
     method: str = column(String(16))
-    path: Name
     status: int
-    object: Name | None
-    address: Name | None
     request_id: str | None = column(String(64))
 
 
@@ -153,14 +131,13 @@ class IdempotencyRow(Base, table="idempotency_keys"):
 IN_FORCE, PAST = text("superseded_ns IS NULL"), text("superseded_ns IS NOT NULL")
 
 
-class ResultRow(Base, table="results", numbered=True):
+class ResultRow(Base, table="results", numbered=True, of=Result, without=("number",)):
     """What a stage made of a part of a subject. ``superseded_ns`` is when the one that followed it was recorded.
 
     ``value`` holds the whole value, bit for bit; ``head`` what is read of many results without it.
     """
 
     constraints = (
-        one_of("status", Status),
         partial_index("ix_results_in_force", "stage", "subject", "part", where=IN_FORCE, unique=True),
         partial_index("ix_results_put_last", "stage", "subject", "result_id", where=IN_FORCE),
         partial_index("ix_results_superseded", "stage", "subject", "part", "recorded_ns", "result_id", where=PAST),
@@ -174,14 +151,8 @@ class ResultRow(Base, table="results", numbered=True):
     subject: Code
     part: Code
     made_from: Code
-    numerics: Name
-    status: str = column(String(16))
-    reason: Name
-    reason_code: Code | None
     head: str | None = column(Text)
     value: Packed | None
-    parameters: Json
-    recorded_ns: Nanoseconds
     superseded_ns: Nanoseconds | None
 
 

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 from sqlalchemy import CheckConstraint, Index, String, TextClause, text
 
-from estimation.values.runs import QuarantineState, SubjectKind
-from fleet_db.records import ChunkState, RecordingAction
-from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Serial, column, one_of, partial_index
+from estimation.values.runs import Quarantined, SubjectKind
+from fleet_db.records import ChunkRecord, RawScrub, RecordingChange
+from fleet_db.tables.base import Base, Code, Count, Name, Nanoseconds, Serial, column, one_of, partial_index
 
 UNDECODED = text("reason_code = 'waits_for_decoding'")
 MINUTE_NS, HOUR_NS = 60_000_000_000, 3_600_000_000_000
@@ -38,11 +38,10 @@ OF_UNDECODED = ("recorded_ns", "digest", "size_bytes")
 """What is asked of recordings that wait for a worker is in the index alone, however many others there are."""
 
 
-class ChunkRow(Base, table="chunks"):
+class ChunkRow(Base, table="chunks", of=ChunkRecord):
     """The receipt of one recording. ``vehicle`` is the sender's: a recording of an unknown one is kept too."""
 
     constraints = (
-        one_of("state", ChunkState),
         CheckConstraint("(first_ns IS NULL) = (last_ns IS NULL)", name="both_ends_or_none"),
         CheckConstraint("last_ns >= first_ns", name="ends_after_start"),
         CheckConstraint("size_bytes >= 0", name="size_counted"),
@@ -55,30 +54,15 @@ class ChunkRow(Base, table="chunks"):
     digest: str = column(String(64), primary_key=True)
     vehicle: str = column(String(64))
     suffix: str = column(String(16))
-    size_bytes: Count
-    state: str = column(String(16))
-    reason: Name
-    reason_code: Code | None
-    first_ns: Nanoseconds | None
-    last_ns: Nanoseconds | None
-    frames: Count
-    counts: Json
-    received_ns: Nanoseconds
-    recorded_ns: Nanoseconds
-    purged_ns: Nanoseconds | None
-    clock_checked_ns: Nanoseconds | None
-    file_name: Name | None
-    sender: Name | None
     recorder_first_ns: Nanoseconds | None
     recorder_last_ns: Nanoseconds | None
 
 
-class QuarantineRow(Base, table="quarantine"):
+class QuarantineRow(Base, table="quarantine", of=Quarantined):
     """One thing at which one stage failed; the row stays when it succeeds later."""
 
     constraints = (
         one_of("kind", SubjectKind),
-        one_of("state", QuarantineState),
         CheckConstraint("attempts >= 1", name="tried"),
         Index(None, "stage", "state"),
         Index(None, "state", "last_ns"),
@@ -88,35 +72,17 @@ class QuarantineRow(Base, table="quarantine"):
     key: str = column(String(128), primary_key=True)
     stage: str = column(String(64), primary_key=True)
     code: Code
-    error: Name
-    inputs: Name
-    first_ns: Nanoseconds
-    last_ns: Nanoseconds
-    due_ns: Nanoseconds
-    attempts: Count
-    state: str = column(String(16))
 
 
-class RecordingChangeRow(Base, table="recording_changes", numbered=True):
+class RecordingChangeRow(Base, table="recording_changes", numbered=True, of=RecordingChange):
     """What was done to a recording by hand."""
 
-    constraints = (
-        one_of("action", RecordingAction),
-        one_of("state_before", ChunkState),
-        one_of("state_after", ChunkState),
-        Index(None, "digest", "id"),
-    )
+    constraints = (Index(None, "digest", "id"),)
 
     id: Serial
     digest: Code
-    action: str = column(String(16))
-    recorded_ns: Nanoseconds
-    actor: Name
-    why: Name
     vehicle_before: Code
-    state_before: str = column(String(16))
     vehicle_after: Code
-    state_after: str = column(String(16))
 
 
 class RawMarkRow(Base, table="raw_marks"):
@@ -126,25 +92,17 @@ class RawMarkRow(Base, table="raw_marks"):
     recorded_ns: Nanoseconds
 
 
-class RawScrubRow(Base, table="raw_scrubs"):
+class RawScrubRow(Base, table="raw_scrubs", of=RawScrub):
     """One reading of all raw files in the order of their digests; ``finished_ns`` is None until its end."""
 
     scrub_id: Serial
-    started_ns: Nanoseconds
-    finished_ns: Nanoseconds | None
     after_digest: str = column(String(64))
-    files: Count
-    file_bytes: Count
-    faults: Count
 
 
 class PurgeRow(Base, table="purges", numbered=True):
     """What one purge deleted of one kind: everything of it from before ``before_ns`` is gone."""
 
-    constraints = (
-        CheckConstraint("items >= 0", name="items_counted"),
-        Index(None, "kind", "before_ns"),
-    )
+    constraints = (CheckConstraint("items >= 0", name="items_counted"), Index(None, "kind", "before_ns"))
 
     purge_id: Serial
     kind: str = column(String(32))
@@ -157,10 +115,7 @@ class PurgeRow(Base, table="purges", numbered=True):
 class StaleSpanRow(Base, table="stale_spans", numbered=True):
     """A span ``[from_ns, to_ns)`` and what made it stale; the row goes in the transaction that stores its windows."""
 
-    constraints = (
-        CheckConstraint("to_ns > from_ns", name="ends_after_start"),
-        Index(None, "vehicle", "from_ns"),
-    )
+    constraints = (CheckConstraint("to_ns > from_ns", name="ends_after_start"), Index(None, "vehicle", "from_ns"))
 
     id: Serial
     vehicle: Code

@@ -3,24 +3,19 @@
 from sqlalchemy import CheckConstraint, ForeignKey, ForeignKeyConstraint, Index, String
 
 from estimation.values.quantities import Status
-from estimation.values.track import AlignmentSource
-from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Packed, Real, Serial, column, one_of
+from estimation.values.track import AlignmentSource, TrackEpoch, TrackReport, TrackSectionRecord
+from estimation.values.trend import SuspensionFinding
+from estimation.values.windows import WindowPosition
+from fleet_db.tables.base import Base, Code, Count, Name, Nanoseconds, Packed, Real, Serial, column, one_of
 
 
-class TrackSectionRow(Base, table="track_sections"):
+class TrackSectionRow(Base, table="track_sections", of=TrackSectionRecord):
     """One section of line; ``number`` identifies it on the vehicles' bus."""
 
     constraints = (CheckConstraint("length_m > 0", name="length_positive"),)
 
     code: str = column(String(64), primary_key=True)
     number: int = column(unique=True)
-    name: Name
-    rail_profile: Name
-    rail_inclination: Real
-    nominal_gauge_m: Real
-    length_m: Real
-    line: Json | None
-    tonnage_mgt_per_year: Real | None
 
 
 class TrackAlignmentRow(Base, table="track_alignments"):
@@ -62,26 +57,18 @@ class TrackVersionRow(Base, table="track_versions"):
     superseded_ns: Nanoseconds | None
 
 
-class TrackReportRow(Base, table="track_reports", numbered=True):
+class TrackReportRow(Base, table="track_reports", numbered=True, of=TrackReport):
     """What a run of the alignment job found of a section; ``version`` is the one in force afterwards, if any."""
 
-    constraints = (one_of("status", Status), Index(None, "section", "report_id"))
+    constraints = (Index(None, "section", "report_id"),)
 
     report_id: Serial
     section: str = column(ForeignKey("track_sections.code"))
     version: int | None
-    made: bool
-    status: str = column(String(16))
-    reason: Name
-    reason_code: Code | None
-    windows: Count
     input_digest: Code
-    code_version: Name
-    report: Json
-    recorded_ns: Nanoseconds
 
 
-class WindowPositionRow(Base, table="window_positions"):
+class WindowPositionRow(Base, table="window_positions", of=WindowPosition):
     """Where a window was along its section: true position = measured + offset + scale (measured - middle).
 
     ``reason`` explains why that is not known. ``content_digest`` is of the samples that were used.
@@ -95,11 +82,6 @@ class WindowPositionRow(Base, table="window_positions"):
     start_ns: Nanoseconds = column(primary_key=True)
     content_digest: Code
     version: int | None
-    offset_m: Real
-    scale: Real
-    middle_m: Real
-    reason: Name
-    reason_code: Code | None
 
 
 class TrackLayoutRow(Base, table="track_layouts"):
@@ -114,7 +96,7 @@ class TrackLayoutRow(Base, table="track_layouts"):
     packed: Packed
 
 
-class TrackEpochRow(Base, table="track_epochs"):
+class TrackEpochRow(Base, table="track_epochs", of=TrackEpoch, without=("after",)):
     """One epoch of a section as it was computed last, in vehicle time; replaced when its windows change.
 
     ``stale``: one of its windows has gone since, or where that was has been forgotten.
@@ -124,19 +106,12 @@ class TrackEpochRow(Base, table="track_epochs"):
 
     section: str = column(ForeignKey("track_sections.code"), primary_key=True)
     number: int = column(primary_key=True)
-    before: Name
     input_digest: Code
-    horizon_ns: Nanoseconds
-    windows: Count
-    waits: bool
-    stale: bool
     version: int | None
     same_since: int | None
     estimated_on: int | None
     survey: Name
     survey_code: Code | None
-    report: Count
-    recorded_ns: Nanoseconds
 
 
 class TrackEpochWindowRow(Base, table="track_epoch_windows"):
@@ -176,7 +151,7 @@ class TrackEpochVehicleRow(Base, table="track_epoch_vehicles"):
     stiffness_ratio: Real
 
 
-class SuspensionFindingRow(Base, table="suspension_findings"):
+class SuspensionFindingRow(Base, table="suspension_findings", of=SuspensionFinding, without=("assumed",)):
     """Yaw stiffness over creep coefficient of one vehicle on one section in one epoch, of the assumed one."""
 
     constraints = (
@@ -189,10 +164,5 @@ class SuspensionFindingRow(Base, table="suspension_findings"):
     vehicle: str = column(ForeignKey("vehicles.code"), primary_key=True)
     section: str = column(ForeignKey("track_sections.code"), primary_key=True)
     to_ns: Nanoseconds = column(primary_key=True)
-    from_ns: Nanoseconds
-    ratio: Real
-    ratio_std: Real
     assumed_m: Real
-    code_version: Name
     epoch: int | None
-    recorded_ns: Nanoseconds

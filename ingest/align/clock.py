@@ -80,8 +80,8 @@ class TimeFrames:
         """Return the first and last vehicle time of frames stamped ``first_ns`` to ``last_ns``; None without TIME."""
         if len(self.t_ns) == 0:
             return None
-        known = believed(self.t_ns, self.vehicle_ns, TIME_TOLERANCE_NS)
-        t_ns, vehicle_ns = self.t_ns[known], self.vehicle_ns[known]
+        credible = believed(self.t_ns, self.vehicle_ns, TIME_TOLERANCE_NS)
+        t_ns, vehicle_ns = self.t_ns[credible], self.vehicle_ns[credible]
         first = int(vehicle_ns[0] - (t_ns[0] - first_ns))
         last = int(vehicle_ns[-1] + (last_ns - t_ns[-1]))
         return min(first, last, int(vehicle_ns.min())), max(first, last, int(vehicle_ns.max()))
@@ -176,11 +176,11 @@ def check_sync_rate(batch: FrameBatch, interval_ns: int) -> None:
     if np.count_nonzero(following) < RATE_SYNCS:
         return
     steps = np.diff(t_ns)[following]
-    found = float(np.median(steps))
+    median_ns = float(np.median(steps))
     # read in bursts, most SYNCs come close together, but as many in all; at a gap the mean is that of another rate
-    if min(abs(one / interval_ns - 1.0) for one in (found, float(np.mean(steps)))) > RATE_TOLERANCE:
+    if min(abs(step_ns / interval_ns - 1.0) for step_ns in (median_ns, float(np.mean(steps)))) > RATE_TOLERANCE:
         raise LogFileError(
-            f"SYNC comes every {found / 1e6:.3f} ms, the catalogue says every {interval_ns / 1e6:.3f} ms"
+            f"SYNC comes every {median_ns / 1e6:.3f} ms, the catalogue says every {interval_ns / 1e6:.3f} ms"
         )
 
 
@@ -206,9 +206,9 @@ def align_to_clock(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
     """Decode a batch in merged order (:func:`ingest.frames.merge`) and put its frames on the vehicle's clock."""
     decoded = decode(catalogue, batch)
     clock, counts = sync_clock(decoded, batch, catalogue.sample_interval_ns)
-    found = align_decoded(decoded, batch, clock, time_frames(decoded, batch))
-    samples = sum(len(message.tick) for message in found.messages.values() if message.plan.kind == ACCELERATION)
-    return replace(found, align_counts=counts + found.align_counts + AlignCounts(samples=samples))
+    aligned = align_decoded(decoded, batch, clock, time_frames(decoded, batch))
+    samples = sum(len(message.tick) for message in aligned.messages.values() if message.plan.kind == ACCELERATION)
+    return replace(aligned, align_counts=counts + aligned.align_counts + AlignCounts(samples=samples))
 
 
 def align_decoded(decoded: Decoded, batch: FrameBatch, clock: SyncClock, times: TimeFrames) -> AlignedFrames:
@@ -224,12 +224,12 @@ def align_decoded(decoded: Decoded, batch: FrameBatch, clock: SyncClock, times: 
             frames_moved=placement.moved, frames_late=placement.late, frames_ambiguous=placement.ambiguous
         )
         tick = placement.tick
-        found = tick != UNPLACED
-        if found.all():
+        placed = tick != UNPLACED
+        if placed.all():
             messages[arbitration_id], repeated = by_tick(values.plan, tick, values.raw)
         else:
-            without_sync += int(np.count_nonzero(~found))
-            messages[arbitration_id], repeated = by_tick(values.plan, tick[found], values.raw[found])
+            without_sync += int(np.count_nonzero(~placed))
+            messages[arbitration_id], repeated = by_tick(values.plan, tick[placed], values.raw[placed])
         counts += repeated
     counts += AlignCounts(frames_without_sync=without_sync)
     return AlignedFrames(MappingProxyType(messages), times, decoded.counts, counts)
@@ -248,10 +248,10 @@ def merge_aligned(parts: Sequence[AlignedFrames]) -> Mapping[int, TickedValues]:
         return parts[0].messages
     merged = {}
     for arbitration_id in sorted({key for part in parts for key in part.messages}):
-        found = [part.messages[arbitration_id] for part in parts if arbitration_id in part.messages]
-        tick, raw = np.concatenate([item.tick for item in found]), np.concatenate([item.raw for item in found])
-        values, _ = by_tick(found[0].plan, tick, raw)
-        bad = np.concatenate([item.tick[item.conflict] for item in found])
+        pieces = [part.messages[arbitration_id] for part in parts if arbitration_id in part.messages]
+        tick, raw = np.concatenate([item.tick for item in pieces]), np.concatenate([item.raw for item in pieces])
+        values, _ = by_tick(pieces[0].plan, tick, raw)
+        bad = np.concatenate([item.tick[item.conflict] for item in pieces])
         conflict = values.conflict | np.isin(values.tick, bad)
         merged[arbitration_id] = replace(values, conflict=conflict)
     return MappingProxyType(merged)

@@ -72,23 +72,23 @@ def on_section(distance: FloatArray, forward: FloatArray, section: IntArray, num
 
     Distance, direction and section (n,) are of the vehicle's reference point, ``offset`` m ahead of the wheelset.
     """
-    found = np.full(len(distance), np.nan)
+    positions = np.full(len(distance), np.nan)
     for i in range(len(distance)):
         own = distance[i] - forward[i] * offset
         if section[i] == number and own >= 0.0:
-            found[i] = own
-    return found
+            positions[i] = own
+    return positions
 
 
 @compiled(nogil=True)
 def gridded(values: FloatArray, slot: IntArray, good: BoolArray, count: int, signals: int) -> FloatArray:
     """Return the first ``signals`` of values (k, m) of good samples on a grid, (signals, count); NaN elsewhere."""
-    found = np.full((signals, count), np.nan)
+    grid = np.full((signals, count), np.nan)
     for i in range(len(slot)):
         if good[i]:
             for j in range(signals):
-                found[j, slot[i]] = values[i, j]
-    return found
+                grid[j, slot[i]] = values[i, j]
+    return grid
 
 
 @compiled(nogil=True)
@@ -287,9 +287,9 @@ class VehicleMotion:
         distance, slope, before = _between(count, where.tick, where.values[:, 1], reach, one_section)
         section, quality = np.full(count, NO_SECTION, np.int64), np.zeros(count)
         if len(where.tick):
-            known = ~(np.isnan(distance) | np.isnan(where.values[before, 0]))
-            section[known] = where.values[before[known], 0].astype(np.int64)
-            quality[known] = np.nan_to_num(where.values[before[known], 2], nan=0.0)
+            covered = ~(np.isnan(distance) | np.isnan(where.values[before, 0]))
+            section[covered] = where.values[before[covered], 0].astype(np.int64)
+            quality[covered] = np.nan_to_num(where.values[before[covered], 2], nan=0.0)
         forward = np.where(slope < 0.0, -1.0, 1.0)
         inside = (moved.tick >= 0) & (moved.tick < count)
         excess = odometer_excess(moved.tick[inside], moved.values[inside], self.interval_ns * 1e-9, reach)
@@ -305,8 +305,8 @@ class VehicleMotion:
 
 def _run_at(moved: Track, tick: IntArray, interval_s: float) -> FloatArray:
     """Return what a vehicle has run at some instants (n,) by its speed, m; NaN where that is not known."""
-    known = np.isfinite(moved.values[:, 0])
-    at, speed = moved.tick[known], np.abs(moved.values[known, 0])
+    valid = np.isfinite(moved.values[:, 0])
+    at, speed = moved.tick[valid], np.abs(moved.values[valid, 0])
     if len(at) < 2:  # noqa: PLR2004 - nothing to interpolate between
         return np.full(len(tick), np.nan)
     steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(at) * interval_s

@@ -51,13 +51,13 @@ def narrowed(marked: BoolArray, values: FloatArray, interval_s: float) -> BoolAr
     if not marked.any():
         return marked
     spoilt = struck(values[:, LATERAL], values[:, ROLL], interval_s)
-    found = marked.copy()
+    narrow = marked.copy()
     for first, behind in runs(marked):
         part = slice(int(first), int(behind))
         sizes = np.nan_to_num(np.abs(values[part, :][:, OF_BOX]))
         if spoilt[part].any() and spoilt[part][np.argmax(sizes, axis=0)].all():
-            found[part] = spoilt[part]
-    return found
+            narrow[part] = spoilt[part]
+    return narrow
 
 
 MIN_PRESENCE = 0.2  # share of a window that frames of its node must be there for
@@ -128,10 +128,10 @@ def vehicle_samples(
     nodes: dict[int, NodeSamples] = {}
     counts = AlignCounts()
     for node in catalogue.wheelset_nodes:
-        found = node_samples(node, catalogue, messages)
-        if found is not None:
-            nodes[node] = found[0]
-            counts += found[1]
+        samples = node_samples(node, catalogue, messages)
+        if samples is not None:
+            nodes[node] = samples[0]
+            counts += samples[1]
     signals = catalogue.find(ACCELERATION, catalogue.wheelset_nodes[0]).signals
     lateral, yaw, roll, mass = (signal.scale for signal in signals)
     motion = vehicle_motion(messages, catalogue.sample_interval_ns)

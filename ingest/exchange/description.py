@@ -151,30 +151,30 @@ class ExchangeFile(InputTable):
 
     @model_validator(mode="after")
     def _check_columns(self) -> Self:
-        for at, (location, column) in enumerate(self.columns):
+        for index, (location, column) in enumerate(self.columns):
             try:
                 unit_of(column.unit, QUANTITIES[str(location[-1])])
             except ParameterError as error:
                 raise field_error(error.reason, *location, "unit") from error
             if column.turned and location[-1] in MOTIONS:
                 raise field_error("only a sensor of an axle can be turned", *location, "turned")
-            others = [name for name, other in self.columns[:at] if other.column == column.column]
+            others = [name for name, other in self.columns[:index] if other.column == column.column]
             if others:
                 other = ".".join(map(str, others[0]))
                 raise field_error(f"column {column.column!r} is that of {other} too", *location, "column")
         numbers = [axle.axle for axle in self.axles]
-        for at, number in enumerate(numbers):
-            if number in numbers[:at]:
-                raise field_error(f"axle {number} is there twice", "axles", at, "axle")
+        for index, number in enumerate(numbers):
+            if number in numbers[:index]:
+                raise field_error(f"axle {number} is there twice", "axles", index, "axle")
         return self
 
     @property
     def columns(self) -> list[tuple[Location, Column]]:
         """All columns and where in the file they are described."""
-        found: list[tuple[Location, Column]] = [((name,), getattr(self, name)) for name in MOTIONS]
-        for at, axle in enumerate(self.axles):
-            found += [(("axles", at, name), getattr(axle, name)) for name in SIGNALS]
-        return found
+        columns: list[tuple[Location, Column]] = [((name,), getattr(self, name)) for name in MOTIONS]
+        for index, axle in enumerate(self.axles):
+            columns += [(("axles", index, name), getattr(axle, name)) for name in SIGNALS]
+        return columns
 
 
 def unit(name: str, column: Column) -> Unit:

@@ -111,27 +111,27 @@ def check_signs(run: ExchangeRun, file: ExchangeFile, toml: InputFile, *, in_bog
 
     Where all axles have the wrong sign the error names the axis that must be turned, else a sensor.
     """
-    found = {axle: sign_evidence(run, axle, in_bogie=in_bogie) for axle in run.accelerations}
-    for at, axle in enumerate(file.axles):
-        evidence = found[axle.axle]
+    signs = {axle: sign_evidence(run, axle, in_bogie=in_bogie) for axle in run.accelerations}
+    for index, axle in enumerate(file.axles):
+        evidence = signs[axle.axle]
         if evidence.other_unit:
             reason = f"the lateral velocity is {evidence.gain:.3g} times what yaw and speed give (y' = V psi)"
-            raise toml.error(f"{reason}: is the unit of lateral or of yaw another?", ("axles", at, "lateral"))
-    turned = {axle: evidence.turned for axle, evidence in found.items()}
+            raise toml.error(f"{reason}: is the unit of lateral or of yaw another?", ("axles", index, "lateral"))
+    turned = {axle: evidence.turned for axle, evidence in signs.items()}
     kinds = set(turned.values())
     if kinds == {None}:
         return
     if len(kinds) == 1:
-        raise _axis_error(next(kind for kind in turned.values() if kind), found, file.axes, toml)
-    at, axle, kind = next((at, axle, kind) for at, axle in enumerate(file.axles) if (kind := turned[axle.axle]))
+        raise _axis_error(next(kind for kind in turned.values() if kind), signs, file.axes, toml)
+    index, axle, kind = next((i, axle, kind) for i, axle in enumerate(file.axles) if (kind := turned[axle.axle]))
     signal = "lateral" if kind is Turned.LATERAL_OR_YAW else str(kind)
     good = [str(number) for number, other in turned.items() if other is None]
     others = f"axles {', '.join(good)} do not" if good else "other signals of other axles do too"
-    reason = f"{_contradiction(kind, [found[axle.axle]])} on axle {axle.axle}, {others}: turn that sensor (turned = "
-    raise toml.error(f"{reason}{str(not getattr(axle, signal).turned).lower()})", ("axles", at, signal))
+    reason = f"{_contradiction(kind, [signs[axle.axle]])} on axle {axle.axle}, {others}: turn that sensor (turned = "
+    raise toml.error(f"{reason}{str(not getattr(axle, signal).turned).lower()})", ("axles", index, signal))
 
 
-def _axis_error(kind: Turned, found: Mapping[int, SignEvidence], axes: AxesTable, toml: InputFile) -> InputError:
+def _axis_error(kind: Turned, evidence: Mapping[int, SignEvidence], axes: AxesTable, toml: InputFile) -> InputError:
     yaw = "front_left" if axes.signs["yaw"] > 0.0 else "front_right"
     roll = "left_up" if axes.signs["roll"] > 0.0 else "left_down"
     if kind is Turned.YAW:
@@ -148,7 +148,7 @@ def _axis_error(kind: Turned, found: Mapping[int, SignEvidence], axes: AxesTable
         if kind is Turned.LATERAL_OR_YAW:
             what += "; or yaw, the roll is too small to part them"
     location: Location = ("axes", field) if getattr(axes, field) is not None else ("axes",)
-    return toml.error(f"{_contradiction(kind, found.values())}: {what}", location)
+    return toml.error(f"{_contradiction(kind, evidence.values())}: {what}", location)
 
 
 def _contradiction(kind: Turned, items: Collection[SignEvidence]) -> str:
@@ -237,11 +237,11 @@ def checked_exchange(description: Path, unit: SqlUnitOfWork) -> Exchange:
     run = read_run(file, table, facts)
     _check_section(run, facts, section, toml, table)
     first_ns, last_ns = (int(end) * INTERVAL_NS for end in run.tick[[0, -1]])
-    for at, mounted in enumerate(file.axles):
+    for index, mounted in enumerate(file.axles):
         begin, end = (unit.registry.mounting_at(vehicle.code, mounted.axle, t_ns) for t_ns in (first_ns, last_ns))
         if begin is None or begin != end:
             reason = f"no one wheelset was mounted at axle {mounted.axle} from begin to end of the run"
-            raise toml.error(reason, ("axles", at, "axle"))
+            raise toml.error(reason, ("axles", index, "axle"))
     check_signs(run, file, toml, in_bogie=in_bogie)
     return Exchange(description, table, vehicle.code, facts, first_ns, last_ns)
 
@@ -251,7 +251,8 @@ def _vehicle(file: ExchangeFile, toml: InputFile, unit: SqlUnitOfWork) -> Vehicl
         vehicle = unit.registry.vehicle(file.run.vehicle)
     except NotFoundError as error:
         raise toml.error(f"the registry has {error}", ("run", "vehicle")) from error
-    numbers: list[tuple[Location, int]] = [(("axles", at, "axle"), axle.axle) for at, axle in enumerate(file.axles)]
+    axles = [axle.axle for axle in file.axles]
+    numbers: list[tuple[Location, int]] = [(("axles", index, "axle"), axle) for index, axle in enumerate(axles)]
     if file.run.position_of_axle is not None:
         numbers.append((("run", "position_of_axle"), file.run.position_of_axle))
     for location, number in numbers:

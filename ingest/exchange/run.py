@@ -236,17 +236,17 @@ def _accelerations(
 
 def _angle(acceleration: FloatArray) -> FloatArray:
     """Return the angle (n,) of an angular acceleration, without its mean and its straight line; NaN where that is."""
-    known = ~np.isnan(acceleration)
-    if known.sum() < FEWEST:
+    measured = ~np.isnan(acceleration)
+    if measured.sum() < FEWEST:
         return np.full(len(acceleration), np.nan)
-    angle = acceleration[known]
+    angle = acceleration[measured]
     t = np.arange(len(angle)) - (len(angle) - 1) / 2.0
     for _ in range(2):
         angle = np.concatenate([[0.0], np.cumsum(0.5 * INTERVAL_NS * 1e-9 * (angle[1:] + angle[:-1]))])
         angle -= angle.mean()
     angle -= t * (t @ angle) / (t @ t)
     result = np.full(len(acceleration), np.nan)
-    result[known] = angle
+    result[measured] = angle
     return result
 
 

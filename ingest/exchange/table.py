@@ -89,15 +89,15 @@ def _read_csv(path: Path, layout: CsvTable, names: Sequence[str]) -> Mapping[str
         table = np.loadtxt(numbers, delimiter=layout.delimiter, usecols=places, comments=None, quotechar='"', ndmin=2)
     except ValueError as error:
         raise _first_bad_cell(path, layout, numbers, dict(zip(names, places, strict=True))) from error
-    return {name: table[:, at].copy() for at, name in enumerate(names)}
+    return {name: table[:, column].copy() for column, name in enumerate(names)}
 
 
 def _check_widths(path: Path, layout: CsvTable, numbers: Sequence[str], columns: int) -> None:
     """Refuse lines of more or fewer columns than the header: values would be read as those of another column."""
     for row, line in enumerate(numbers):
-        found = len(_cells(line, layout)) if '"' in line else line.count(layout.delimiter) + 1
-        if found != columns and not (found == columns + 1 and line.endswith(layout.delimiter)):
-            reason = f"has {found} columns, the header {columns}"
+        width = len(_cells(line, layout)) if '"' in line else line.count(layout.delimiter) + 1
+        if width != columns and not (width == columns + 1 and line.endswith(layout.delimiter)):
+            reason = f"has {width} columns, the header {columns}"
             raise ExchangeError(reason, file=path, line=layout.first + row)
 
 

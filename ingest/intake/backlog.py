@@ -100,7 +100,7 @@ class BacklogWatch:
 
 def free_bytes(folder: Path) -> int:
     """Return how much room is left where a folder is, or will be made."""
-    there = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.is_dir())
+    there = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.is_dir())
     with passing_faults(there):
         return shutil.disk_usage(there).free
 
@@ -173,7 +173,7 @@ def assemble_windows(receiver_of: Callable[[JobContext], Receiver], context: Job
     if not counts["spans"] and not waiting and not looked_for and not received:
         return counts
     receiver = receiver_of(context)
-    receipts = [one.record for one in receiver.decode(waiting) if isinstance(one, ChunkReceipt)]
+    receipts = [answer.record for answer in receiver.decode(waiting) if isinstance(answer, ChunkReceipt)]
     counts["decoded"] = sum(record.state is ChunkState.DECODED for record in receipts)
     counts["decoded"] += decode_received(context.storage, receiver, ASSEMBLY, context.checkpoint).decoded
     receiver.reassembler.lost.look()

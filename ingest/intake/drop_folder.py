@@ -100,7 +100,7 @@ class DropFolder:
         return Look(stored, known, tuple(refused), incomplete, behind)
 
     def _complete(self) -> tuple[list[Path], int]:
-        now_s, found = self.now_s(), dict[Path, _Seen]()
+        now_s, files = self.now_s(), dict[Path, _Seen]()
         with passing_faults(self.settings.folder):
             for path in self.settings.folder.iterdir():
                 if path.name.startswith(".") or path.suffix.lower() in UNFINISHED:
@@ -110,11 +110,11 @@ class DropFolder:
                     continue
                 seen = _Seen(status.st_size, status.st_mtime_ns, status.st_ino, now_s)
                 before = self._seen.get(path)
-                found[path] = before if before is not None and before == seen else seen
-        self._seen = found
-        complete = [path for path, one in found.items() if now_s - one.since_s >= self.settings.quiet_s]
-        complete.sort(key=lambda path: (found[path].changed_ns, path))
-        return complete, len(found) - len(complete)
+                files[path] = before if before is not None and before == seen else seen
+        self._seen = files
+        complete = [path for path, one in files.items() if now_s - one.since_s >= self.settings.quiet_s]
+        complete.sort(key=lambda path: (files[path].changed_ns, path))
+        return complete, len(files) - len(complete)
 
     def _read(self, path: Path) -> Arrival:
         if self._seen[path].size > self.settings.most_bytes:

@@ -186,9 +186,9 @@ def receive_live(bus: ReceivedBus, stop: threading.Event) -> None:
         thread.join(max(deadline - time.monotonic(), WATCH_EVERY_S))
     if not bus.status.threads[1].is_alive():
         spool.close()
-    left = spool.pieces_waiting
-    if left:
-        bus.reports.say(f"{left} pieces wait in the spool for the next start")
+    waiting = spool.pieces_waiting
+    if waiting:
+        bus.reports.say(f"{waiting} pieces wait in the spool for the next start")
     for work in (listening, storing):
         if work.refused is not None:
             raise work.refused

@@ -253,7 +253,7 @@ class Spool:
     def take_over(self) -> TakenOver:
         """Make what an earlier process left ready to be stored; call it once, first."""
         torn = damaged = 0
-        found: list[Piece] = []
+        pieces: list[Piece] = []
         count = self._drops.count
         paths = sorted(path for path in self._folder.iterdir() if path.suffix in (PIECE_SUFFIX, SET_ASIDE_SUFFIX))
         for path in paths:
@@ -270,12 +270,12 @@ class Spool:
                     os.fsync(file.fileno())
             last = max(record.dropped_total for record in contents.records)
             count = DropCount(max(count.total, last), max(count.recorded, last))
-            found.append(Piece(path.replace(path.with_suffix(PIECE_SUFFIX)), contents.end))
+            pieces.append(Piece(path.replace(path.with_suffix(PIECE_SUFFIX)), contents.end))
         self._drops.write(count)
         with self._lock:
-            self._waiting.extend(found)
+            self._waiting.extend(pieces)
             self._next = max((int(path.stem) for path in paths if path.stem.isdigit()), default=0) + 1
-        return TakenOver(len(found), torn, damaged)
+        return TakenOver(len(pieces), torn, damaged)
 
     def append(self, record: Record) -> None:
         """Put a record on the disk; it is there when this returns.

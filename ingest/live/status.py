@@ -55,17 +55,17 @@ class LiveStatus:
     @property
     def faults(self) -> dict[str, str]:
         """What keeps frames from their receipts and windows, by where it is."""
-        found = {
+        faults = {
             "bus": self.bus_fault,
             "spool": self.spool_fault,
             "raw": self.raw_fault,
             "database": self.database_fault,
         }
         if self.rejected_in_a_row >= (REJECTED_IN_A_ROW if self.decoded else 1):
-            found["recordings"] = (
+            faults["recordings"] = (
                 f"every recording is rejected, the last {self.rejected_in_a_row}: {self.last_rejection}"
             )
-        return {where: fault for where, fault in found.items() if fault is not None}
+        return {where: fault for where, fault in faults.items() if fault is not None}
 
 
 class Say(Protocol):

@@ -244,9 +244,9 @@ class _ObjectReader:
             yield objects, base, at
 
     def _next_object(self, contents: bytes, at: int) -> int:
-        found = contents.find(blf.OBJECT_SIGNATURE, at, at + blf.LONGEST_PADDING)
-        if found >= 0:
-            return found
+        start = contents.find(blf.OBJECT_SIGNATURE, at, at + blf.LONGEST_PADDING)
+        if start >= 0:
+            return start
         if len(contents) - at < blf.LONGEST_PADDING and not any(contents[at:]):
             return len(contents)
         raise LogFileError(f"no object at byte {self.first_byte + at} {WHERE}: truncated or corrupt")

@@ -85,15 +85,6 @@ class FramePart:
     data: npt.NDArray[np.uint8]  # (n, 8), zero beyond ``dlc``
 
 
-@dataclass(frozen=True, slots=True)
-class SinkSummary:
-    """What was written: the bus, the number of frames, and counts of what was left out or is strange."""
-
-    channel: str
-    frames: int
-    counts: dict[str, int]
-
-
 class FrameSink:
     """Takes the frames of one file."""
 
@@ -131,8 +122,8 @@ class FrameSink:
             columns = [np.concatenate([held, new]) for held, new in zip(self._held, columns, strict=True)]
         self._write(columns, len(columns[0]) - 2)
 
-    def finish(self) -> SinkSummary:
-        """Write what was held back and return what there is."""
+    def finish(self) -> dict[str, Any]:
+        """Write what was held back; return bus, number of frames, and counts of what was left out or is strange."""
         if self._held is not None:
             held, self._held = self._held, None
             latest = int(held[0][-2]) if len(held[0]) > 1 else int(self._before or 0)
@@ -148,7 +139,7 @@ class FrameSink:
         for file in self._files:
             file.flush()
         frames = self._frames - self._counts[FRAMES_OUT_OF_TIME]
-        return SinkSummary(self._channel or DEFAULT_CHANNEL, frames, {k: n for k, n in self._counts.items() if n})
+        return {"channel": self._channel or DEFAULT_CHANNEL, "frames": frames, "counts": dict(+self._counts)}
 
     def _write(self, columns: Sequence[npt.NDArray[np.generic]], decided: int) -> None:
         if decided <= 0 and len(columns[0]) > 0:

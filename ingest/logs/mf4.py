@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,37 +28,29 @@ IDENTIFIER_BITS = 0x1FFF_FFFF
 MICROSECONDS = 1_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class MF4Frames:
-    """Frames of a file."""
+FRAME = np.dtype(
+    [
+        ("seconds", "f8"),  # stamp, s UTC
+        ("due", "f8"),  # the latest stamp of the group up to here
+        ("identifier", "u4"),  # with the flags of :class:`ingest.frames.FrameBatch`
+        ("dlc", "u1"),
+        ("data", "u1", DATA_BYTES),  # zero beyond the length
+        ("channel", "i8"),  # number of the bus; -1 where the file has none
+    ]
+)
+Frames = npt.NDArray[np.void]
 
-    seconds: FloatArray  # stamps, (n,), s UTC
-    identifier: npt.NDArray[np.uint32]  # with the flags of :class:`ingest.frames.FrameBatch`, (n,)
-    dlc: npt.NDArray[np.uint8]  # lengths, (n,)
-    data: npt.NDArray[np.uint8]  # bytes, (n, 8), zero beyond the length
-    channel: IntArray  # numbers of their buses, (n,); -1 where the file has none
 
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return len(self.seconds)
-
-    @property
-    def t_ns(self) -> IntArray:
-        """Stamps in ns, to the microsecond: a float of this size holds no more."""
-        if not np.isfinite(self.seconds).all():
-            raise LogFileError("holds a frame with a time that is no number")
-        return np.rint(self.seconds * MICROSECONDS).astype(np.int64) * 1000
-
-    def part(self, index: slice | IntArray) -> MF4Frames:
-        """Return some of them."""
-        return MF4Frames(
-            self.seconds[index], self.identifier[index], self.dlc[index], self.data[index], self.channel[index]
-        )
+def stamps_ns(frames: Frames) -> IntArray:
+    """Return stamps (n,) in ns, to the microsecond: a float of this size holds no more."""
+    if not np.isfinite(frames["seconds"]).all():
+        raise LogFileError("holds a frame with a time that is no number")
+    return np.asarray(np.rint(frames["seconds"] * MICROSECONDS).astype(np.int64) * 1000)
 
 
 def bus_groups(mdf: Any) -> list[tuple[int, str]]:  # noqa: ANN401 - asammdf's MDF, untyped here
     """Return number and kind of the channel groups that log frames of a CAN bus."""
-    found = []
+    groups = []
     for number, group in enumerate(mdf.groups):
         source = group.channel_group.acq_source
         if not group.channel_group.flags & BUS_EVENT or group.channel_group.cycles_nr == 0 or source is None:
@@ -67,43 +58,38 @@ def bus_groups(mdf: Any) -> list[tuple[int, str]]:  # noqa: ANN401 - asammdf's M
         if not source.source_type & BUS_SOURCE or source.bus_type != CAN_BUS:
             continue
         names = {channel.name for channel in group.channels}
-        found += [(number, kind) for kind in KINDS if kind in names][:1]
-    return found
+        groups += [(number, kind) for kind in KINDS if kind in names][:1]
+    return groups
 
 
-def merged(groups: Sequence[Iterator[MF4Frames]]) -> Iterator[MF4Frames]:
+def merged(groups: Sequence[Iterator[Frames]]) -> Iterator[Frames]:
     """Yield the frames of all groups in the order of time; those of one group keep their order among themselves.
 
     Of each group only some pieces are in memory.
     """
     heads = [_Head(group) for group in groups]
-    while True:
+    until = -math.inf
+    while until < math.inf:
         for head in heads:
-            head.fill()
+            if not len(head.frames) and not head.ended:
+                head.extend()
         coming = [head for head in heads if not head.ended]
-        if not coming:
-            break
-        until = min(head.last for head in coming)
-        yield from _in_order([head.before(until) for head in heads])
-        first = next(head for head in coming if head.last == until)
-        first.extend()
-    yield from _in_order([head.before(math.inf) for head in heads])
+        until = min((head.last for head in coming), default=math.inf)
+        frames = np.concatenate([np.empty(0, FRAME), *(head.before(until) for head in heads)])
+        if len(frames):
+            yield frames[np.argsort(frames["due"], kind="stable")]
+        if coming:
+            next(head for head in coming if head.last == until).extend()
 
 
 class _Head:
     """What has been read of a group and not been yielded. A frame is not due before those that its group has first."""
 
-    def __init__(self, group: Iterator[MF4Frames]) -> None:
+    def __init__(self, group: Iterator[Frames]) -> None:
         self._group = group
-        self._frames: list[MF4Frames] = []
-        self._due: list[FloatArray] = []
+        self.frames: Frames = np.empty(0, FRAME)
         self.ended = False
         self.last = -math.inf
-
-    def fill(self) -> None:
-        """Read a piece where nothing is left."""
-        if not self._frames and not self.ended:
-            self.extend()
 
     def extend(self) -> None:
         """Read a piece more."""
@@ -111,38 +97,18 @@ class _Head:
         if frames is None:
             self.ended = True
             return
-        due = np.maximum.accumulate(np.concatenate([[self.last], frames.seconds]))[1:]
-        self.last = float(due[-1])
-        self._frames.append(frames)
-        self._due.append(due)
+        frames["due"] = np.maximum.accumulate(np.concatenate([[self.last], frames["seconds"]]))[1:]
+        self.last = float(frames["due"][-1])
+        self.frames = np.concatenate([self.frames, frames])
 
-    def before(self, until: float) -> tuple[list[MF4Frames], list[FloatArray]]:
+    def before(self, until: float) -> Frames:
         """Return, and forget, what is due before a time; all, where that is endless."""
-        taken: list[MF4Frames] = []
-        due: list[FloatArray] = []
-        while self._frames:
-            count = len(self._frames[0]) if until == math.inf else int(np.searchsorted(self._due[0], until))
-            taken.append(self._frames[0].part(slice(0, count)))
-            due.append(self._due[0][:count])
-            if count < len(self._frames[0]):
-                self._frames[0] = self._frames[0].part(slice(count, None))
-                self._due[0] = self._due[0][count:]
-                break
-            del self._frames[0], self._due[0]
-        return taken, due
+        count = len(self.frames) if until == math.inf else int(np.searchsorted(self.frames["due"], until))
+        due, self.frames = self.frames[:count], self.frames[count:]
+        return due
 
 
-def _in_order(parts: Sequence[tuple[list[MF4Frames], list[FloatArray]]]) -> Iterator[MF4Frames]:
-    frames = [one for taken, _ in parts for one in taken if len(one)]
-    if not frames:
-        return
-    due = np.concatenate([one for _, times in parts for one in times])
-    columns = zip(*((one.seconds, one.identifier, one.dlc, one.data, one.channel) for one in frames), strict=True)
-    together = MF4Frames(*(np.concatenate(column) for column in columns))
-    yield together.part(np.argsort(due, kind="stable"))
-
-
-def frames_of_group(mdf: Any, number: int, kind: str) -> Iterator[MF4Frames]:  # noqa: ANN401 - asammdf's MDF
+def frames_of_group(mdf: Any, number: int, kind: str) -> Iterator[Frames]:  # noqa: ANN401 - asammdf's MDF
     """Yield the frames of a channel group, in its order."""
     start_s = mdf.header.start_time.timestamp()
     for offset in range(0, mdf.groups[number].channel_group.cycles_nr, RECORDS):
@@ -151,7 +117,7 @@ def frames_of_group(mdf: Any, number: int, kind: str) -> Iterator[MF4Frames]:  #
             yield _frames(read.samples, np.asarray(read.timestamps, float) + start_s, kind)
 
 
-def _frames(samples: npt.NDArray[Any], seconds: FloatArray, kind: str) -> MF4Frames:
+def _frames(samples: npt.NDArray[Any], seconds: FloatArray, kind: str) -> Frames:
     held = samples.dtype.names or ()
 
     def column(name: str, otherwise: int) -> IntArray:
@@ -173,7 +139,11 @@ def _frames(samples: npt.NDArray[Any], seconds: FloatArray, kind: str) -> MF4Fra
         dlc, data = _data(samples, kind, column("DataLength", 0))
     if len(dlc) and int(dlc.max()) > DATA_BYTES:
         raise LogFileError(f"holds a frame of length {int(dlc.max())}: a frame of classic CAN has at most 8 bytes")
-    return MF4Frames(seconds, identifier.astype(np.uint32), dlc.astype(np.uint8), data, column("BusChannel", -1))
+    frames = np.zeros(len(samples), FRAME)
+    columns = {"seconds": seconds, "identifier": identifier, "dlc": dlc, "data": data}
+    for name, values in (columns | {"channel": column("BusChannel", -1)}).items():
+        frames[name] = values
+    return frames
 
 
 def _data(samples: npt.NDArray[Any], kind: str, length: IntArray) -> tuple[IntArray, npt.NDArray[np.uint8]]:
@@ -206,13 +176,11 @@ def read_mf4(path: Path, limits: ReadLimits, sink: FrameSink) -> None:
     buses: set[str] = set()
     with closing(MDF(path)) as mdf:
         for frames in merged([frames_of_group(mdf, *group) for group in bus_groups(mdf)]):
-            ends = int(frames.channel.min()), int(frames.channel.max())
-            numbers = [ends[0]] if ends[0] == ends[1] else np.unique(frames.channel).tolist()
-            buses |= {library_channel_name(number) for number in numbers if number >= 0}
+            buses |= {library_channel_name(number) for number in np.unique(frames["channel"]).tolist() if number >= 0}
             if len(buses) > 1:
                 raise LogFileError(f"holds several buses ({', '.join(sorted(buses))}): one file, one bus", file=path)
             bus = next(iter(buses), library_channel_name(None))
-            sink.add(FramePart(bus, frames.t_ns, frames.identifier, frames.dlc, frames.data))
+            sink.add(FramePart(bus, stamps_ns(frames), *(frames[name] for name in ("identifier", "dlc", "data"))))
 
 
 FORMAT = LogFormat(

@@ -132,22 +132,21 @@ def read_and_end(path: Path, limits: ReadLimits, answer: int, columns: Sequence[
         _limit(limits)
         sink = FrameSink(files, limits)
         format_of(path).read(path, limits, sink)
-        summary = sink.finish()
-        found = {"channel": summary.channel, "frames": summary.frames, "counts": summary.counts}
+        outcome = sink.finish()
     except LogFileError as error:
-        found = {"error": error.reason, "line": error.line}
+        outcome = {"error": error.reason, "line": error.line}
     except PassingFaultError as error:
-        found = {"passing": error.reason, "code": error.code}
+        outcome = {"passing": error.reason, "code": error.code}
     except MemoryError:
         del reserve
-        found = {"error": f"reading needs more memory than the limit of {limits.memory_bytes // MEBIBYTE} MiB"}
+        outcome = {"error": f"reading needs more memory than the limit of {limits.memory_bytes // MEBIBYTE} MiB"}
     except OSError as error:
-        found = _of_system(error, limits)
+        outcome = _of_system(error, limits)
     except RecursionError:
-        found = {"error": "is nested too deep"}
+        outcome = {"error": "is nested too deep"}
     except Exception as error:  # noqa: BLE001 - whatever a library raises on a bad file is that file's fault
-        found = {"error": f"cannot be read: {type(error).__name__}: {str(error)[:200]}"}
-    os.write(answer, json.dumps(found).encode() + b"\n")
+        outcome = {"error": f"cannot be read: {type(error).__name__}: {str(error)[:200]}"}
+    os.write(answer, json.dumps(outcome).encode() + b"\n")
     os._exit(0)
 
 

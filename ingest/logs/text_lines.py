@@ -183,7 +183,7 @@ def _alike(characters: npt.NDArray[np.uint8], match: re.Match[str], base: int) -
 
 def _digit_places(match: re.Match[str], name: str) -> list[int]:
     first, last = match.span(name)
-    return [at for at in range(first, last) if match.string[at] != " "]
+    return [place for place in range(first, last) if match.string[place] != " "]
 
 
 def _put(
@@ -297,11 +297,11 @@ class TextLog:
             self.channel = block.channels[int(block.channel[np.argmax(block.is_frame)])]
         if all(name == self.channel for name in block.channels):
             return np.ones(len(block.starts), np.bool_)
-        own = np.array([name == self.channel for name in block.channels])[block.channel]
-        for index in np.flatnonzero(block.is_frame & ~own)[: LOST_AT_ONCE + 1].tolist():
+        of_channel = np.array([name == self.channel for name in block.channels])[block.channel]
+        for index in np.flatnonzero(block.is_frame & ~of_channel)[: LOST_AT_ONCE + 1].tolist():
             name = block.channels[int(block.channel[index])]
             self._lose(block.first_line + index, f"holds several buses ({self.channel}, {name}): one file, one bus")
-        return np.asarray(own)
+        return np.asarray(of_channel)
 
     def _lose(self, number: int, reason: str) -> None:
         self.lost += 1

@@ -207,23 +207,23 @@ class MappingFile(InputTable):
     @model_validator(mode="after")
     def _check_nodes(self) -> Self:
         numbers = [node.axle for node in self.nodes]
-        for at, number in enumerate(numbers):
-            if number in numbers[:at]:
-                raise field_error(f"axle {number} is there twice", "nodes", at, "axle")
-            sequence = self.nodes[at].sequence
-            if sequence is not None and sequence.message != self.nodes[at].lateral.message:
-                raise field_error("must be in the message of the lateral acceleration", "nodes", at, "sequence")
+        for index, number in enumerate(numbers):
+            if number in numbers[:index]:
+                raise field_error(f"axle {number} is there twice", "nodes", index, "axle")
+            sequence = self.nodes[index].sequence
+            if sequence is not None and sequence.message != self.nodes[index].lateral.message:
+                raise field_error("must be in the message of the lateral acceleration", "nodes", index, "sequence")
         return self
 
     @property
     def signals(self) -> list[tuple[Location, SignalTable]]:
         """All signals, and where in the file they are."""
-        found: list[tuple[Location, SignalTable]] = []
+        signals: list[tuple[Location, SignalTable]] = []
         tables: list[tuple[Location, InputTable]] = [(("clock",), self.clock), (("vehicle",), self.vehicle)]
-        tables += [(("nodes", at), node) for at, node in enumerate(self.nodes)]
+        tables += [(("nodes", index), node) for index, node in enumerate(self.nodes)]
         for location, table in tables:
             for name in type(table).model_fields:
                 value = getattr(table, name)
                 if isinstance(value, SignalTable):
-                    found.append(((*location, name), value))
-        return found
+                    signals.append(((*location, name), value))
+        return signals

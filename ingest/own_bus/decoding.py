@@ -54,10 +54,10 @@ def align_own(bus: OwnBus, batch: FrameBatch) -> AlignedFrames:
         clock, counts = stamp_clock(stamps, bus.sample_interval_ns)
         ends = batch.t_ns[[0, -1]] if len(batch) else batch.t_ns
         times = TimeFrames(ends, ends)
-    found = align_decoded(decoded, batch, clock, times)
+    aligned = align_decoded(decoded, batch, clock, times)
     sampled = {node.sensors[0].message for node in bus.nodes}  # one sample each
-    samples = sum(len(found.messages[key].tick) for key in sampled if key in found.messages)
-    return replace(found, align_counts=found.align_counts + counts + AlignCounts(samples=samples))
+    samples = sum(len(aligned.messages[key].tick) for key in sampled if key in aligned.messages)
+    return replace(aligned, align_counts=aligned.align_counts + counts + AlignCounts(samples=samples))
 
 
 def decode_own(bus: OwnBus, batch: FrameBatch) -> Decoded:
@@ -139,10 +139,10 @@ def _plan(name: str, identifier: int, limits: dict[str, tuple[int, int]]) -> Mes
 def _check_rate(bus: OwnBus, stamps: IntArray) -> None:
     if len(stamps) < FEWEST_FRAMES:
         return
-    found = float(np.median(np.diff(stamps)))
-    if abs(found / bus.sample_interval_ns - 1.0) > RATE_TOLERANCE:
+    median_ns = float(np.median(np.diff(stamps)))
+    if abs(median_ns / bus.sample_interval_ns - 1.0) > RATE_TOLERANCE:
         raise LogFileError(
-            f"sampling instants come every {found / 1e6:.3f} ms, the mapping says every"
+            f"sampling instants come every {median_ns / 1e6:.3f} ms, the mapping says every"
             f" {bus.sample_interval_ns / 1e6:.3f} ms"
         )
 
@@ -192,10 +192,10 @@ def own_samples(vehicle: str, bus: OwnBus, messages: Messages) -> tuple[VehicleS
     nodes: dict[int, NodeSamples] = {}
     counts = AlignCounts()
     for node in bus.nodes:
-        found = _node_samples(node, bus.sample_interval_ns, messages)
-        if found is not None:
-            nodes[node.axle] = found[0]
-            counts += found[1]
+        samples = _node_samples(node, bus.sample_interval_ns, messages)
+        if samples is not None:
+            nodes[node.axle] = samples[0]
+            counts += samples[1]
     steps = [_count(signal, bus.sample_interval_ns * 1e-9) for signal in bus.nodes[0].sensors]
     motion = _motion(bus, messages)
     resolution = (steps[0], steps[1], steps[2], steps[3])
@@ -211,11 +211,11 @@ def _count(signal: SignalReference, interval_s: float) -> float:
 
 
 def _node_samples(node: OwnNode, interval_ns: int, messages: Messages) -> tuple[NodeSamples, AlignCounts] | None:
-    found = [_values(signal, messages) for signal in node.sensors]
-    if all(len(item.tick) == 0 for item in found):
+    sensors = [_values(signal, messages) for signal in node.sensors]
+    if all(len(item.tick) == 0 for item in sensors):
         return None
-    tick = np.unique(np.concatenate([item.tick for item in found]))
-    values = np.full((len(tick), len(found)), np.nan)
+    tick = np.unique(np.concatenate([item.tick for item in sensors]))
+    values = np.full((len(tick), len(sensors)), np.nan)
     saturated = values.copy()
     clipped, invalid = np.zeros(len(tick), np.bool_), np.zeros(len(tick), np.bool_)
     distrusted = np.zeros(len(tick), np.bool_)
@@ -227,7 +227,7 @@ def _node_samples(node: OwnNode, interval_ns: int, messages: Messages) -> tuple[
         distrusted |= _not_good(node.valid, messages, tick, interval_ns)
     if node.clipped is not None:
         clipped |= _not_good(node.clipped, messages, tick, interval_ns)
-    for column, (signal, item) in enumerate(zip(node.sensors, found, strict=True)):
+    for column, (signal, item) in enumerate(zip(node.sensors, sensors, strict=True)):
         at = np.searchsorted(tick, item.tick)
         invalid[at] |= item.invalid
         cut_off = item.clipped | (clipped_reach(item.clipped, signal.derivatives) & ~item.invalid)
@@ -297,10 +297,10 @@ def _not_good(state: StateReference, messages: Messages, tick: IntArray, interva
     if ticked is None:
         return np.zeros(len(tick), np.bool_)
     after = np.searchsorted(ticked.tick, tick, side="left")
-    known = after < len(ticked.tick)
+    measured = after < len(ticked.tick)
     after = np.minimum(after, len(ticked.tick) - 1)
-    known &= ticked.tick[after] - tick <= TIME_REACH_NS // interval_ns
-    return np.asarray(known & (ticked.raw[after, state.signal.column] != state.good))
+    measured &= ticked.tick[after] - tick <= TIME_REACH_NS // interval_ns
+    return np.asarray(measured & (ticked.raw[after, state.signal.column] != state.good))
 
 
 def _motion(bus: OwnBus, messages: Messages) -> VehicleMotion:
@@ -310,31 +310,30 @@ def _motion(bus: OwnBus, messages: Messages) -> VehicleMotion:
     moved = np.column_stack([_between(speed, tick, reach), _at(odometer, tick)])
     moved[:, 0] = np.abs(moved[:, 0])
     distance = _values(vehicle.distance, messages)
-    place = [_held(vehicle.track_section, messages, distance.tick, bus), distance.values]
-    place.append(np.ones(len(distance.tick)))
-    if vehicle.position_quality is not None:
-        place[2] = _held(vehicle.position_quality, messages, distance.tick, bus)
-    return VehicleMotion(bus.sample_interval_ns, Track(tick, moved), Track(distance.tick, np.column_stack(place)))
+    of_position = (vehicle.track_section, 1 if vehicle.position_quality is None else vehicle.position_quality)
+    section, quality = (_held(reference, messages, distance.tick, bus) for reference in of_position)
+    position = Track(distance.tick, np.column_stack([section, distance.values, quality]))
+    return VehicleMotion(bus.sample_interval_ns, Track(tick, moved), position)
 
 
 def _at(signal: _Values, tick: IntArray) -> FloatArray:
-    found = np.full(len(tick), np.nan)
-    found[np.searchsorted(tick, signal.tick)] = signal.values
-    return found
+    values = np.full(len(tick), np.nan)
+    values[np.searchsorted(tick, signal.tick)] = signal.values
+    return values
 
 
 def _between(signal: _Values, tick: IntArray, reach: int) -> FloatArray:
     """Return a signal (n,) where it was sent, and on straight lines between neighbours at most ``reach`` apart."""
-    found = _at(signal, tick)
+    values = _at(signal, tick)
     if len(signal.tick) == 0:
-        return found
+        return values
     after = np.clip(np.searchsorted(signal.tick, tick), 1, max(len(signal.tick) - 1, 1))
     after = np.minimum(after, len(signal.tick) - 1)
     low, high = signal.tick[np.maximum(after - 1, 0)], signal.tick[after]
-    inside = np.isnan(found) & (low < tick) & (tick < high) & (high - low <= reach)
+    inside = np.isnan(values) & (low < tick) & (tick < high) & (high - low <= reach)
     share = (tick - low) / np.maximum(high - low, 1)
     line = signal.values[np.maximum(after - 1, 0)] * (1.0 - share) + signal.values[after] * share
-    return np.where(inside, line, found)
+    return np.where(inside, line, values)
 
 
 def _held(reference: SignalReference | int, messages: Messages, tick: IntArray, bus: OwnBus) -> FloatArray:
@@ -345,5 +344,5 @@ def _held(reference: SignalReference | int, messages: Messages, tick: IntArray, 
     if len(signal.tick) == 0:
         return np.full(len(tick), np.nan)
     before = np.searchsorted(signal.tick, tick, side="right") - 1
-    known = (before >= 0) & (tick - signal.tick[before] <= TIME_REACH_NS // bus.sample_interval_ns)
-    return np.where(known, signal.values[before], np.nan)
+    fresh = (before >= 0) & (tick - signal.tick[before] <= TIME_REACH_NS // bus.sample_interval_ns)
+    return np.where(fresh, signal.values[before], np.nan)

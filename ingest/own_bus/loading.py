@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -63,19 +63,19 @@ def load_own_bus(path: Path) -> OwnBus:
     dbc = path.parent / mapping.dbc
     database = parse_dbc(dbc)
     builder = _Builder(toml, {message.name: message for message in database.messages})
-    found = {location: builder.reference(location, table) for location, table in mapping.signals}
-    nodes = tuple(_node(at, node, found, builder) for at, node in enumerate(mapping.nodes))
+    references = {location: builder.reference(location, table) for location, table in mapping.signals}
+    nodes = tuple(_node(index, node, references, builder) for index, node in enumerate(mapping.nodes))
     section = mapping.vehicle.track_section
     vehicle = OwnVehicle(
-        speed=found["vehicle", "speed"],
-        odometer=found["vehicle", "odometer"],
-        distance=found["vehicle", "distance"],
-        track_section=section if isinstance(section, int) else found["vehicle", "track_section"],
-        position_quality=found.get(("vehicle", "position_quality")),
+        speed=references["vehicle", "speed"],
+        odometer=references["vehicle", "odometer"],
+        distance=references["vehicle", "distance"],
+        track_section=section if isinstance(section, int) else references["vehicle", "track_section"],
+        position_quality=references.get(("vehicle", "position_quality")),
     )
     clock: CanopenClock | StampClock
     if mapping.clock.kind == "canopen":
-        clock = CanopenClock(*(found["clock", name] for name in ("counter", "milliseconds", "days")))
+        clock = CanopenClock(*(references["clock", name] for name in ("counter", "milliseconds", "days")))
     else:
         clock = StampClock(builder.identifier(str(mapping.clock.reference), ("clock", "reference")))
     multiplexers = {
@@ -97,21 +97,22 @@ def load_own_bus(path: Path) -> OwnBus:
     )
 
 
-def _node(at: int, node: NodeTable, found: Mapping[Location, SignalReference], builder: _Builder) -> OwnNode:
+def _node(index: int, node: NodeTable, references: Mapping[Location, SignalReference], builder: _Builder) -> OwnNode:
     def state(name: str) -> StateReference | None:
         table: StateTable | None = getattr(node, name)
         if table is None:
             return None
-        signal = found["nodes", at, name]
+        signal = references["nodes", index, name]
         if not signal.plan.raw_minimum <= table.good <= signal.plan.raw_maximum:
-            raise builder.toml.error(f"{table.good} is no value of signal {table.signal}", ("nodes", at, name, "good"))
+            reason = f"{table.good} is no value of signal {table.signal}"
+            raise builder.toml.error(reason, ("nodes", index, name, "good"))
         return StateReference(signal, table.good)
 
-    sensors = [found["nodes", at, name] for name in ("lateral", "yaw", "roll", "mass_lateral")]
+    sensors = [references["nodes", index, name] for name in ("lateral", "yaw", "roll", "mass_lateral")]
     return OwnNode(
         axle=node.axle,
         sensors=(sensors[0], sensors[1], sensors[2], sensors[3]),
-        sequence=found.get(("nodes", at, "sequence")),
+        sequence=references.get(("nodes", index, "sequence")),
         valid=state("valid"),
         clipped=state("clipped"),
         fault=state("fault"),
@@ -147,11 +148,11 @@ class _Builder:
                 raise self.toml.error(f"message {message.name}: {error}", (*location, "message")) from error
         plan = self.messages[key].plan
         column = plan.names.index(signal.name)
-        found = self._in_si(
+        reference = self._in_si(
             location, table, SignalReference(key, column, plan.signals[column], signal.is_float, 1.0, 0.0)
         )
-        self._check_range(location, found)
-        return found
+        self._check_range(location, reference)
+        return reference
 
     def _message(self, name: str, location: Location) -> Any:  # noqa: ANN401 - cantools is untyped
         message = self.database.get(name)
@@ -183,11 +184,11 @@ class _Builder:
             )
         return int(values[0])
 
-    def _in_si(self, location: Location, table: SignalTable, found: SignalReference) -> SignalReference:
+    def _in_si(self, location: Location, table: SignalTable, reference: SignalReference) -> SignalReference:
         allowed = QUANTITIES.get(str(location[-1]))
-        scale, offset, times, limit = found.plan.scale, found.plan.offset, 0, math.inf
+        scale, offset, times, limit = reference.plan.scale, reference.plan.offset, 0, math.inf
         if allowed is not None and location[-1] not in {"milliseconds", "days"}:
-            written = table.unit if table.unit is not None else found.plan.unit
+            written = table.unit if table.unit is not None else reference.plan.unit
             try:
                 unit = unit_of(written, allowed)
             except ParameterError as error:
@@ -198,13 +199,13 @@ class _Builder:
                 sign = -1.0 if table.turned else 1.0
                 scale, offset = sign * scale, sign * offset
                 limit = math.inf if table.limit is None else table.limit * unit.factor
-            self._check_count(location, table, abs(scale), found, unit.quantity)
-        return SignalReference(found.message, found.column, found.plan, found.is_float, scale, offset, times, limit)
+            self._check_count(location, table, abs(scale), reference, unit.quantity)
+        return replace(reference, scale=scale, offset=offset, derivatives=times, limit=limit)
 
     def _check_count(
-        self, location: Location, table: SignalTable, count: float, found: SignalReference, quantity: Quantity
+        self, location: Location, table: SignalTable, count: float, reference: SignalReference, quantity: Quantity
     ) -> None:
-        if quantity not in RANGES or found.is_float:
+        if quantity not in RANGES or reference.is_float:
             return
         largest = LARGEST_POSITION_COUNT if location[-1] == "distance" else RANGES[quantity][1]
         if count > largest:
@@ -213,26 +214,24 @@ class _Builder:
                 location,
             )
 
-    def _check_range(self, location: Location, found: SignalReference) -> None:
-        quantity = {0: Quantity.ANGULAR_ACCELERATION, 1: Quantity.ANGULAR_RATE, 2: Quantity.ANGLE}
-        by_name = {
-            "lateral": Quantity.ACCELERATION,
-            "mass_lateral": Quantity.ACCELERATION,
-            "yaw": quantity[found.derivatives],
-            "roll": quantity[found.derivatives],
-            "speed": Quantity.SPEED,
-            "distance": Quantity.LENGTH,
-        }.get(str(location[-1]))
-        if by_name is None or found.is_float:
+    def _check_range(self, location: Location, reference: SignalReference) -> None:
+        name = str(location[-1])
+        quantity = (
+            list(DERIVATIVES)[reference.derivatives]
+            if name in {"yaw", "roll"}
+            else QUANTITIES.get(name, (Quantity.NUMBER,))[0]
+        )
+        if quantity not in RANGES or name == "odometer" or reference.is_float:
             return
-        ends = [raw * found.scale + found.offset for raw in (found.plan.raw_minimum, found.plan.raw_maximum)]
-        least = RANGES[by_name][0]
-        signed = by_name not in {Quantity.SPEED, Quantity.LENGTH}
+        raw_ends = reference.plan.raw_minimum, reference.plan.raw_maximum
+        ends = [raw * reference.scale + reference.offset for raw in raw_ends]
+        least = RANGES[quantity][0]
+        signed = quantity not in {Quantity.SPEED, Quantity.LENGTH}
         if max(ends) < least or (signed and min(ends) > -least):
             span = f"{min(ends):.4g} to {max(ends):.4g}"
             sign = "+-" if signed else ""
             raise self.toml.error(
-                f"signal {found.plan.name}: its range is {span} in SI, {sign}{least:g} is needed: a wrong unit?",
+                f"signal {reference.plan.name}: its range is {span} in SI, {sign}{least:g} is needed: a wrong unit?",
                 location,
             )
 

@@ -61,10 +61,10 @@ def unusual_gauge(record: RecordName, nominal_gauge_m: float, contacts_m: Collec
     """
     gauge_mm = 1e3 * nominal_gauge_m
     least, most = GAUGE_TO_CONTACTS_MM
-    beyond_mm = [1e3 * one - gauge_mm for one in contacts_m]
-    if not beyond_mm or any(least - 1e-6 <= one <= most + 1e-6 for one in beyond_mm):
+    beyond_mm = [1e3 * contact_m - gauge_mm for contact_m in contacts_m]
+    if not beyond_mm or any(least - 1e-6 <= excess_mm <= most + 1e-6 for excess_mm in beyond_mm):
         return []
-    apart = ", ".join(f"{1e3 * one:g}" for one in sorted(set(contacts_m)))
+    apart = ", ".join(f"{1e3 * contact_m:g}" for contact_m in sorted(set(contacts_m)))
     reason = f"{gauge_mm:g} mm: no vehicle on file runs on it, their wheels touch the rails {apart} mm apart"
     return [Contradiction(Rule.UNUSUAL_GAUGE, record, "nominal_gauge_mm", reason)]
 
@@ -121,7 +121,7 @@ def distance_contradictions(
             backwards.append(other)
         elif forward_km > most_km(abs(entered.at_ns - other.at_ns) / SECOND_NS) + TOLERANCE_KM:
             jumps.append(other)
-    found = []
+    contradicting = []
     faster = "would run faster than any vehicle (metres?)"
     for others, rule, what in ((backwards, rules.backwards, "would run backwards"), (jumps, rules.jump, faster)):
         if others:
@@ -129,8 +129,8 @@ def distance_contradictions(
             more = f"; and {len(others) - 3} more" if len(others) > 3 else ""  # noqa: PLR2004 - as many as are named
             reason = f"{entered.km:,.0f} km: {rules.name} {what}, there is {named}{more}"
             records = tuple(other.record for other in others)
-            found.append(Contradiction(rule, entered.record, entered.field, reason, records))
-    return found
+            contradicting.append(Contradiction(rule, entered.record, entered.field, reason, records))
+    return contradicting
 
 
 AHEAD_NS = 86_400 * 1_000_000_000  # by which the clock of a vehicle or of a depot may be ahead of ours
@@ -152,7 +152,7 @@ def before_first_mounting(reprofiling: RecordName, mountings: Sequence[Mounting]
     at_ns = reprofiling.at_ns
     if not mountings or at_ns is None:
         return []
-    first = min(mountings, key=lambda one: one.from_ns)
+    first = min(mountings, key=lambda mounting: mounting.from_ns)
     if at_ns >= first.from_ns:
         return []
     other = RecordName(Kind.MOUNTING, first.wheelset, first.from_ns)
@@ -210,13 +210,13 @@ def contradictions(unit: SqlUnitOfWork, entered: Entered, now_ns: int | None) ->
 
     Without our time nothing is said about the future.
     """
-    found = [one for name, where in entered.new_codes for one in unusable_code(name, where)]
-    found += _sizes(unit, entered)
+    against = [contradiction for name, where in entered.new_codes for contradiction in unusable_code(name, where)]
+    against += _sizes(unit, entered)
     if now_ns is not None:
-        found += _future(entered, now_ns)
+        against += _future(entered, now_ns)
     if entered.dated():
-        found += _lives(unit, entered)
-    return found
+        against += _lives(unit, entered)
+    return against
 
 
 def _sizes(unit: SqlUnitOfWork, entered: Entered) -> Iterable[Contradiction]:
@@ -231,7 +231,8 @@ def _sizes(unit: SqlUnitOfWork, entered: Entered) -> Iterable[Contradiction]:
     if entered.sections:
         codes = {vehicle.vehicle_class for vehicle in unit.registry.vehicles_page(None, None, 1 << 31)}
         classes = (unit.registry.vehicle_class(code) for code in sorted(codes))
-        contacts = [2.0 * one.vehicle_class.parameters.half_contact_distance for one in classes if one is not None]
+        stored = [record.vehicle_class for record in classes if record is not None]
+        contacts = [2.0 * vehicle_class.parameters.half_contact_distance for vehicle_class in stored]
     for section in entered.sections:
         name = RecordName(Kind.SECTION, section.code)
         found += unusual_gauge(name, section.nominal_gauge_m, contacts)
@@ -246,16 +247,16 @@ def _future(entered: Entered, now_ns: int) -> Iterable[Contradiction]:
         yield from in_the_future(name, "from", mounting.from_ns, now_ns)
         if mounting.to_ns is not None:
             yield from in_the_future(name, "to", mounting.to_ns, now_ns)
-    for one in entered.sensor_changes:
-        name = RecordName(Kind.SENSOR_CHANGE, one.vehicle, one.at_ns)
-        yield from in_the_future(name, "at", one.at_ns, now_ns)
+    for sensor_change in entered.sensor_changes:
+        name = RecordName(Kind.SENSOR_CHANGE, sensor_change.vehicle, sensor_change.at_ns)
+        yield from in_the_future(name, "at", sensor_change.at_ns, now_ns)
     for point in (*entered.reprofilings, *entered.measurements):
         yield from in_the_future(point.record, "at", point.at_ns, now_ns)
 
 
 def _lives(unit: SqlUnitOfWork, entered: Entered) -> Iterable[Contradiction]:
     lives = lives_on_file(unit.connection, {point.record.key for point in entered.dated()})
-    known = {
+    points = {
         serial: [
             *map(mileage_of, life.mountings),
             *(mileage_point(Kind.REPROFILING, serial, at_ns, km) for at_ns, km in life.reprofilings),
@@ -264,62 +265,62 @@ def _lives(unit: SqlUnitOfWork, entered: Entered) -> Iterable[Contradiction]:
         for serial, life in lives.items()
     }
     measured = any_windows(unit.connection)
-    found: list[Contradiction] = []
+    against: list[Contradiction] = []
     for point in entered.reprofilings:
-        found += before_first_mounting(point.record, lives[point.record.key].mountings)
+        against += before_first_mounting(point.record, lives[point.record.key].mountings)
     for mounting in entered.mountings:
         life = lives[mounting.wheelset]
         if life.mountings[:1] == (mounting,):
-            found += mounted_after_reprofiling(mounting, [at_ns for at_ns, _ in life.reprofilings])
+            against += mounted_after_reprofiling(mounting, [at_ns for at_ns, _ in life.reprofilings])
     for point in entered.dated():
-        found += distance_contradictions(point, known[point.record.key], MILEAGE)
+        against += distance_contradictions(point, points[point.record.key], MILEAGE)
         if measured:
-            found += _against_windows(unit, point)
-    return [*found, *_odometers(unit, entered.mountings, measured=measured)]
+            against += _against_windows(unit, point)
+    return [*against, *_odometers(unit, entered.mountings, measured=measured)]
 
 
 def _window_points(unit: SqlUnitOfWork, wheelset: str, at_ns: int) -> list[DistancePoint]:
     return [
-        DistancePoint(RecordName(Kind.WINDOW, one.wheelset, one.start_ns), one.start_ns, one.mileage_km, "")
-        for one in windows_beside(unit.connection, wheelset, at_ns)
+        DistancePoint(RecordName(Kind.WINDOW, window.wheelset, window.start_ns), window.start_ns, window.mileage_km, "")
+        for window in windows_beside(unit.connection, wheelset, at_ns)
     ]
 
 
 def _against_windows(unit: SqlUnitOfWork, point: DistancePoint) -> list[Contradiction]:
     """Return where windows contradict a mileage: as stored, and with the steps of the odometer taken out."""
     serial = point.record.key
-    found = distance_contradictions(point, _window_points(unit, serial, point.at_ns), MILEAGE)
-    if not found:
+    stored = distance_contradictions(point, _window_points(unit, serial, point.at_ns), MILEAGE)
+    if not stored:
         return []
     windows = unit.windows.list(serial)
-    running = dict(zip([one.start_ns for one in windows], running_mileage(windows), strict=True))
-    named = [name for one in found for name in one.others]
+    running = dict(zip([window.start_ns for window in windows], running_mileage(windows), strict=True))
+    named = [name for contradiction in stored for name in contradiction.others]
     repaired = [
         DistancePoint(name, name.at_ns, running.get(name.at_ns, 0.0), "") for name in named if name.at_ns is not None
     ]
-    still = {one.rule for one in distance_contradictions(point, repaired, MILEAGE)}
-    return [one for one in found if one.rule in still]
+    still = {contradiction.rule for contradiction in distance_contradictions(point, repaired, MILEAGE)}
+    return [contradiction for contradiction in stored if contradiction.rule in still]
 
 
 def _odometers(unit: SqlUnitOfWork, mountings: Sequence[Mounting], *, measured: bool) -> list[Contradiction]:
-    found: list[Contradiction] = []
-    on_file = mountings_where(unit.connection, MOUNTINGS.c.vehicle, {one.vehicle for one in mountings})
+    against: list[Contradiction] = []
+    on_file = mountings_where(unit.connection, MOUNTINGS.c.vehicle, {mounting.vehicle for mounting in mountings})
     for mounting in mountings:
-        of_vehicle = [one for one in on_file if one.vehicle == mounting.vehicle]
-        known = [odometer_of(one) for one in of_vehicle]
+        of_vehicle = [other for other in on_file if other.vehicle == mounting.vehicle]
+        points = [odometer_of(other) for other in of_vehicle]
         if measured:
-            known += _odometers_of_windows(unit, mounting, of_vehicle)
-        found += distance_contradictions(odometer_of(mounting), _nearest(known, mounting.from_ns), ODOMETER)
-    return found
+            points += _odometers_of_windows(unit, mounting, of_vehicle)
+        against += distance_contradictions(odometer_of(mounting), _nearest(points, mounting.from_ns), ODOMETER)
+    return against
 
 
 def _nearest(points: Sequence[DistancePoint], at_ns: int) -> list[DistancePoint]:
     """Return what is known of the last time before and the first after: an odometer may have been replaced since."""
-    at_once = [one for one in points if one.at_ns == at_ns]
-    before = [one for one in points if one.at_ns < at_ns]
-    after = [one for one in points if one.at_ns > at_ns]
-    last, first = max((one.at_ns for one in before), default=0), min((one.at_ns for one in after), default=0)
-    return [*at_once, *(one for one in before if one.at_ns == last), *(one for one in after if one.at_ns == first)]
+    at_once = [point for point in points if point.at_ns == at_ns]
+    before = [point for point in points if point.at_ns < at_ns]
+    after = [point for point in points if point.at_ns > at_ns]
+    last, first = max((point.at_ns for point in before), default=0), min((point.at_ns for point in after), default=0)
+    return [*at_once, *(p for p in before if p.at_ns == last), *(p for p in after if p.at_ns == first)]
 
 
 def _odometers_of_windows(
@@ -327,11 +328,11 @@ def _odometers_of_windows(
 ) -> list[DistancePoint]:
     """Return what the odometer showed at the windows of other wheelsets of the vehicle beside the time."""
     at_ns = entered.from_ns
-    latest = {one.axle: one for one in of_vehicle if one.from_ns <= at_ns and one != entered}
-    found = []
-    for one in latest.values():
-        for point in _window_points(unit, one.wheelset, at_ns):
-            if one.from_ns <= point.at_ns and (one.to_ns is None or point.at_ns < one.to_ns):
-                km = point.km - one.wheelset_mileage_km + one.vehicle_odometer_km
-                found.append(DistancePoint(point.record, point.at_ns, km, ""))
-    return found
+    latest = {mounting.axle: mounting for mounting in of_vehicle if mounting.from_ns <= at_ns and mounting != entered}
+    points = []
+    for mounting in latest.values():
+        for point in _window_points(unit, mounting.wheelset, at_ns):
+            if mounting.from_ns <= point.at_ns and (mounting.to_ns is None or point.at_ns < mounting.to_ns):
+                km = point.km - mounting.wheelset_mileage_km + mounting.vehicle_odometer_km
+                points.append(DistancePoint(point.record, point.at_ns, km, ""))
+    return points

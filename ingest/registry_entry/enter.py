@@ -19,7 +19,7 @@ from fleet_db.stores.registry_history import RecordKey
 from fleet_db.stores.tracks import free_numbers
 from fleet_db.stores.wheelset_events import MOUNTINGS, MountedTwiceError, mountings_where
 from ingest.input_file import Location
-from ingest.registry_entry.checks import Entered, contradictions, mileage_point
+from ingest.registry_entry.checks import DistancePoint, Entered, contradictions, mileage_point
 from ingest.registry_entry.contents import (
     ARRAYS,
     CONFIRMABLE,
@@ -47,34 +47,34 @@ def class_refusals(source: Source, contents: RegistryContents, registry: Registr
     """
     if not (contents.classes or contents.vehicles or contents.wheelsets or contents.mountings):
         return
-    classes = {one.code: one for one in contents.classes}
+    classes = {vehicle_class.code: vehicle_class for vehicle_class in contents.classes}
     for code in {vehicle.vehicle_class for vehicle in contents.vehicles} - set(classes):
-        known = _on_file(registry, code)
-        if known is not None:
-            classes[code] = known
+        vehicle_class = _on_file(registry, code)
+        if vehicle_class is not None:
+            classes[code] = vehicle_class
     for index, vehicle in enumerate(contents.vehicles):
         if vehicle.vehicle_class in classes and (misfit := _misfit(vehicle, classes[vehicle.vehicle_class])):
             yield source.error(misfit[1], ("vehicles", index, misfit[0]))
     entered = {vehicle.code for vehicle in contents.vehicles}
-    for index, one in enumerate(contents.classes):
-        for vehicle in registry.vehicles_of_class(one.code):
-            if vehicle.code not in entered and (misfit := _misfit(vehicle, one)):
+    for index, vehicle_class in enumerate(contents.classes):
+        for vehicle in registry.vehicles_of_class(vehicle_class.code):
+            if vehicle.code not in entered and (misfit := _misfit(vehicle, vehicle_class)):
                 yield source.error(f"vehicle {vehicle.code!r} on file: {misfit[1]}", ("vehicle_classes", index))
     yield from _unfit_wheelsets(source, contents, _running(contents, registry, classes))
 
 
-def _misfit(vehicle: VehicleRecord, known: VehicleClass) -> tuple[str, str] | None:
+def _misfit(vehicle: VehicleRecord, vehicle_class: VehicleClass) -> tuple[str, str] | None:
     """Return field and reason why the axles of a vehicle are not those of a class; None where they are."""
-    if known.bogie is None:
+    if vehicle_class.bogie is None:
         return None
     if vehicle.axles % AXLES_OF_A_BOGIE:
-        return "axles", f"{vehicle.axles}: class {known.code!r} runs on bogies of two axles"
+        return "axles", f"{vehicle.axles}: class {vehicle_class.code!r} runs on bogies of two axles"
     offsets = vehicle.axle_offsets_m
     for front, rear in zip(offsets[::2], offsets[1::2], strict=True):
-        if abs(abs(rear - front) - known.bogie.wheelbase) > WHEELBASE_TOLERANCE:
+        if abs(abs(rear - front) - vehicle_class.bogie.wheelbase) > WHEELBASE_TOLERANCE:
             return "axle_offsets_m", (
                 f"axles at {front:g} and {rear:g} m are {abs(rear - front):g} m apart, "
-                f"the wheelbase of class {known.code!r} is {known.bogie.wheelbase:g} m"
+                f"the wheelbase of class {vehicle_class.code!r} is {vehicle_class.bogie.wheelbase:g} m"
             )
     return None
 
@@ -86,21 +86,21 @@ _Running = tuple[WheelsetRecord, str, VehicleClass]
 def _unfit_wheelsets(source: Source, contents: RegistryContents, running: Sequence[_Running]) -> Iterator[InputError]:
     """Yield what is wrong with wheelsets that an entry brings together with a class of another radius."""
     entries = {
-        "wheelsets": [one.serial for one in contents.wheelsets],
-        "mountings": [one.wheelset for one in contents.mountings],
-        "vehicles": [one.code for one in contents.vehicles],
-        "vehicle_classes": [one.code for one in contents.classes],
+        "wheelsets": [wheelset.serial for wheelset in contents.wheelsets],
+        "mountings": [mounting.wheelset for mounting in contents.mountings],
+        "vehicles": [vehicle.code for vehicle in contents.vehicles],
+        "vehicle_classes": [vehicle_class.code for vehicle_class in contents.classes],
     }
     fields = {"wheelsets": ("nominal_radius_mm",), "mountings": ("wheelset",), "vehicles": ("vehicle_class",)}
-    for wheelset, vehicle, known in running:
-        serial, radius, expected = wheelset.serial, wheelset.nominal_radius_m, known.parameters.nominal_radius
-        keys = {"wheelsets": serial, "mountings": serial, "vehicles": vehicle, "vehicle_classes": known.code}
+    for wheelset, vehicle, vehicle_class in running:
+        serial, radius, expected = wheelset.serial, wheelset.nominal_radius_m, vehicle_class.parameters.nominal_radius
+        keys = {"wheelsets": serial, "mountings": serial, "vehicles": vehicle, "vehicle_classes": vehicle_class.code}
         brought_by = next((name for name, key in keys.items() if key in entries[name]), None)
         if brought_by is None or abs(radius - expected) <= RADIUS_TOLERANCE * expected:
             continue
         reason = (
             f"{1e3 * radius:g} mm differs by more than {100 * RADIUS_TOLERANCE:g} % "
-            f"from the {1e3 * expected:g} mm of class {known.code!r}"
+            f"from the {1e3 * expected:g} mm of class {vehicle_class.code!r}"
         )
         on_file = "" if brought_by == "wheelsets" else f"wheelset {serial!r} on file: "
         place = entries[brought_by].index(keys[brought_by])
@@ -110,33 +110,34 @@ def _unfit_wheelsets(source: Source, contents: RegistryContents, running: Sequen
 def without_class(contents: RegistryContents, registry: RegistryStore) -> tuple[VehicleRecord, ...]:
     """Return the vehicles that were entered and whose class nobody knows."""
     codes = {vehicle.vehicle_class for vehicle in contents.vehicles}
-    known = {code for code in codes if registry.vehicle_class(code) is not None}
-    return tuple(vehicle for vehicle in contents.vehicles if vehicle.vehicle_class not in known)
+    on_file = {code for code in codes if registry.vehicle_class(code) is not None}
+    return tuple(vehicle for vehicle in contents.vehicles if vehicle.vehicle_class not in on_file)
 
 
 def _running(
     contents: RegistryContents, registry: RegistryStore, classes: Mapping[str, VehicleClass]
 ) -> list[_Running]:
-    wheelsets = {one.serial: one for one in registry.wheelsets()}
-    mounted = [one.mounting for one in wheelsets.values() if one.mounting is not None]
-    latest = {one.wheelset: one.vehicle for one in sorted([*mounted, *contents.mountings], key=lambda m: m.from_ns)}
-    wheelsets |= {one.serial: one for one in contents.wheelsets}
-    class_of = {one.code: one.vehicle_class for one in contents.vehicles}
+    wheelsets = {wheelset.serial: wheelset for wheelset in registry.wheelsets()}
+    mounted = [wheelset.mounting for wheelset in wheelsets.values() if wheelset.mounting is not None]
+    mounted = sorted([*mounted, *contents.mountings], key=lambda mounting: mounting.from_ns)
+    latest = {mounting.wheelset: mounting.vehicle for mounting in mounted}
+    wheelsets |= {wheelset.serial: wheelset for wheelset in contents.wheelsets}
+    class_of = {vehicle.code: vehicle.vehicle_class for vehicle in contents.vehicles}
     for code in set(latest.values()) - set(class_of):
         with suppress(NotFoundError):  # refused when the mounting is stored
             class_of[code] = registry.vehicle(code).vehicle_class
-    known = {code: classes.get(code) or _on_file(registry, code) for code in set(class_of.values())}
-    found = []
+    by_code = {code: classes.get(code) or _on_file(registry, code) for code in set(class_of.values())}
+    running = []
     for serial, vehicle in latest.items():
-        of_vehicle = known.get(class_of.get(vehicle, ""))
+        of_vehicle = by_code.get(class_of.get(vehicle, ""))
         if serial in wheelsets and of_vehicle is not None:
-            found.append((wheelsets[serial], vehicle, of_vehicle))
-    return found
+            running.append((wheelsets[serial], vehicle, of_vehicle))
+    return running
 
 
 def _on_file(registry: RegistryStore, code: str) -> VehicleClass | None:
-    found = registry.vehicle_class(code)
-    return None if found is None else found.vehicle_class
+    record = registry.vehicle_class(code)
+    return None if record is None else record.vehicle_class
 
 
 _T = TypeVar("_T")
@@ -150,20 +151,21 @@ def enter(
     entering = _Entering(unit, source, entry, list(refusals))
     entering.refusals += [Refusal(error) for error in class_refusals(source, contents, unit.registry)]
     again = entering.store(contents)
-    found = contradictions(unit, entering.entered, entry.now_ns)
-    for one in found:
-        if one.rule not in entry.confirmed:
-            advice = f" (if it is so all the same, confirm {one.rule})" if one.rule in CONFIRMABLE else ""
-            error = source.error(one.reason + advice, (*_place(one.record, contents), one.field))
-            entering.refusals.append(Refusal(error, one))
+    for contradiction in contradictions(unit, entering.entered, entry.now_ns):
+        rule, reason = contradiction.rule, contradiction.reason
+        if rule not in entry.confirmed:
+            advice = f" (if it is so all the same, confirm {rule})" if rule in CONFIRMABLE else ""
+            error = source.error(reason + advice, (*_place(contradiction.record, contents), contradiction.field))
+            entering.refusals.append(Refusal(error, contradiction))
     if entering.refusals:
         raise RegistryRefusedError(tuple(entering.refusals))
-    return LoadedRegistry(contents, tuple(one for one in again if one.subjects), without_class(contents, unit.registry))
+    estimated = tuple(change for change in again if change.subjects)
+    return LoadedRegistry(contents, estimated, without_class(contents, unit.registry))
 
 
 def _place(record: RecordName, contents: RegistryContents) -> Location:
-    for index, one in enumerate(getattr(contents, ARRAYS[record.kind])):
-        if _name(record.kind, one) == record:
+    for index, entered in enumerate(getattr(contents, ARRAYS[record.kind])):
+        if _name(record.kind, entered) == record:
             return (record.kind.value, index)
     return (record.kind.value,)
 
@@ -214,16 +216,16 @@ class _Entering:
             except MountedTwiceError as error:
                 other = RecordName(Kind.MOUNTING, error.other.wheelset, error.other.from_ns)
                 name = _name(kind, record)
-                found = Contradiction(Rule.MOUNTED_TWICE, name, "", str(error), (other,))
-                self.refusals.append(Refusal(self.source.error(str(error), (kind.value, index)), found))
+                contradiction = Contradiction(Rule.MOUNTED_TWICE, name, "", str(error), (other,))
+                self.refusals.append(Refusal(self.source.error(str(error), (kind.value, index)), contradiction))
             except (NotFoundError, ConflictError) as error:
                 self.refusals.append(Refusal(self.source.error(str(error), (kind.value, index))))
         return results
 
     def _new_codes(self, contents: RegistryContents) -> None:
         registry, entered = self.registry, self.entered
-        fleets = {one.code for one in registry.fleets()} if contents.fleets else set()
-        wheelsets = {one.serial: one for one in registry.wheelsets()} if contents.wheelsets else {}
+        fleets = {fleet.code for fleet in registry.fleets()} if contents.fleets else set()
+        wheelsets = {wheelset.serial: wheelset for wheelset in registry.wheelsets()} if contents.wheelsets else {}
         known: dict[Kind, Callable[[str], bool]] = {
             Kind.FLEET: fleets.__contains__,
             Kind.VEHICLE_CLASS: lambda code: registry.vehicle_class(code) is not None,
@@ -236,22 +238,23 @@ class _Entering:
                 name = _name(kind, record)
                 if not is_known(name.key):
                     entered.new_codes.append((name, "serial" if kind is Kind.WHEELSET else "code"))
-        for one in contents.wheelsets:
-            was = wheelsets.get(one.serial)
-            if was is None or (was.wheel_profile, was.nominal_radius_m) != (one.wheel_profile, one.nominal_radius_m):
-                entered.wheelsets.append(one)
+        for new in contents.wheelsets:
+            was = wheelsets.get(new.serial)
+            if was is None or (was.wheel_profile, was.nominal_radius_m) != (new.wheel_profile, new.nominal_radius_m):
+                entered.wheelsets.append(new)
 
     def _mountings(self, mountings: Sequence[Mounting]) -> None:
         """Store mountings together: wheelsets may change places with each other."""
         if not mountings:
             return
-        on_file = mountings_where(self.unit.connection, MOUNTINGS.c.wheelset, {one.wheelset for one in mountings})
-        known = {(one.wheelset, one.from_ns): one for one in on_file}
+        serials = {mounting.wheelset for mounting in mountings}
+        on_file = mountings_where(self.unit.connection, MOUNTINGS.c.wheelset, serials)
+        stored = {(mounting.wheelset, mounting.from_ns): mounting for mounting in on_file}
         registry = self.registry
         before = registry.take_out(mountings)
 
         def add(one: Mounting) -> None:
-            was = known.get((one.wheelset, one.from_ns))
+            was = stored.get((one.wheelset, one.from_ns))
             registry.add_mounting(one, before.get((one.wheelset, one.from_ns)), self.entry.recorded_ns)
             if was is None or replace(was, to_ns=one.to_ns) != one:
                 self.entered.mountings.append(one)
@@ -282,13 +285,13 @@ class _Entering:
 
     def _sections(self, contents: RegistryContents) -> None:
         tracks, recorded_ns = self.unit.tracks, self.entry.recorded_ns
-        on_file = {one.code: one for one in tracks.sections()} if contents.sections else {}
+        on_file = {section.code: section for section in tracks.sections()} if contents.sections else {}
         free_numbers(self.unit.registry_history, contents.sections, recorded_ns)
         self._each(Kind.SECTION, contents.sections, lambda one: tracks.add_section(one, recorded_ns))
-        for one in contents.sections:
-            was = on_file.get(one.code)
-            if was is None or (was.rail_profile, was.nominal_gauge_m) != (one.rail_profile, one.nominal_gauge_m):
-                self.entered.sections.append(one)
+        for new in contents.sections:
+            was = on_file.get(new.code)
+            if was is None or (was.rail_profile, was.nominal_gauge_m) != (new.rail_profile, new.nominal_gauge_m):
+                self.entered.sections.append(new)
 
         def add_alignment(one: TrackAlignment) -> None:
             before = tracks.in_force(one.section)
@@ -318,30 +321,28 @@ def refuse_contradicted(unit: SqlUnitOfWork, key: RecordKey, now_ns: int) -> Non
 
     Doubts that can be confirmed are none here: it was on file before.
     """
-    found = contradictions(unit, _entered(unit, key), now_ns)
-    refusals = tuple(
-        Refusal(InputError(one.reason, field="at" if one.field in {"at", "from", "to"} else None), one)
-        for one in found
-        if one.rule not in CONFIRMABLE
-    )
+    refusals = []
+    for contradiction in contradictions(unit, _entered(unit, key), now_ns):
+        if contradiction.rule not in CONFIRMABLE:
+            field = "at" if contradiction.field in {"at", "from", "to"} else None
+            refusals.append(Refusal(InputError(contradiction.reason, field=field), contradiction))
     if refusals:
-        raise RegistryRefusedError(refusals)
+        raise RegistryRefusedError(tuple(refusals))
 
 
 def _entered(unit: SqlUnitOfWork, key: RecordKey) -> Entered:
     entered = Entered()
     if key.kind is RecordKind.MOUNTING:
-        entered.mountings += [one for one in unit.registry.mountings(key.subject) if one.from_ns == key.at_ns]
+        mountings = unit.registry.mountings(key.subject)
+        entered.mountings += [mounting for mounting in mountings if mounting.from_ns == key.at_ns]
     elif key.kind is RecordKind.REPROFILING:
-        entered.reprofilings += [
-            mileage_point(Kind.REPROFILING, one.wheelset, one.at_ns, one.mileage_km)
-            for one in unit.registry.wheelset(key.subject).reprofilings
-            if one.at_ns == key.at_ns
-        ]
+        entered.reprofilings += _points_at(key, Kind.REPROFILING, unit.registry.wheelset(key.subject).reprofilings)
     elif key.kind is RecordKind.MEASUREMENT:
-        entered.measurements += [
-            mileage_point(Kind.MEASUREMENT, one.wheelset, one.at_ns, one.mileage_km)
-            for one in unit.registry.measured_profiles(key.subject)
-            if one.at_ns == key.at_ns
-        ]
+        entered.measurements += _points_at(key, Kind.MEASUREMENT, unit.registry.measured_profiles(key.subject))
     return entered
+
+
+def _points_at(
+    key: RecordKey, kind: Kind, records: Sequence[Reprofiling] | Sequence[MeasuredProfiles]
+) -> list[DistancePoint]:
+    return [mileage_point(kind, r.wheelset, r.at_ns, r.mileage_km) for r in records if r.at_ns == key.at_ns]

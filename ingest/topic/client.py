@@ -99,7 +99,7 @@ def load_properties(path: Path) -> dict[str, str]:
 
     Errors never have a value in them: it may be a secret.
     """
-    found: dict[str, str] = {}
+    properties: dict[str, str] = {}
     for number, line in enumerate(read_text_within(path, SETTINGS_BYTES, InputError).splitlines(), start=1):
         text = line.strip()
         if not text or text.startswith("#"):
@@ -110,8 +110,8 @@ def load_properties(path: Path) -> dict[str, str]:
             raise InputError("is no line name=value of a librdkafka property", file=path, line=number)
         if name in OURS:
             raise InputError(f"{name} is set by treadwatch", file=path, line=number)
-        found[name] = value.strip()
-    return found
+        properties[name] = value.strip()
+    return properties
 
 
 def require_client() -> None:
@@ -187,8 +187,8 @@ class ConsumerStatus:
     @property
     def faults(self) -> dict[str, str]:
         """What keeps references from their receipts, by where it is."""
-        found = {"broker": self.broker_fault, "raw": self.raw_fault, "database": self.database_fault}
-        return {where: fault for where, fault in found.items() if fault is not None}
+        faults = {"broker": self.broker_fault, "raw": self.raw_fault, "database": self.database_fault}
+        return {where: fault for where, fault in faults.items() if fault is not None}
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,15 +266,15 @@ class TopicReader:
     def ask(self) -> None:
         """Ask a broker about the topic, and say in the status how it stands."""
         try:
-            found = self._consumer.list_topics(self._topic.name, timeout=ASK_S).topics[self._topic.name]
+            topic = self._consumer.list_topics(self._topic.name, timeout=ASK_S).topics[self._topic.name]
         except kafka().KafkaException as error:
             self._fault(error.args[0].str())
             return
-        if found.error is not None:
-            self._fault(found.error.str())
+        if topic.error is not None:
+            self._fault(topic.error.str())
         else:
             self._well()
-        self._status.behind_by = sum(self._behind_by(one) for one in self._consumer.assignment())
+        self._status.behind_by = sum(self._behind_by(partition) for partition in self._consumer.assignment())
 
     def close(self) -> None:
         """Commit what is done, and leave the group."""
@@ -305,14 +305,14 @@ class TopicReader:
     def _on_assign(self, consumer: Consumer, partitions: list[TopicPartition]) -> None:
         consumer.incremental_assign(partitions)
         self._assignment += 1
-        self._assignments |= {one.partition: self._assignment for one in partitions}
+        self._assignments |= {partition.partition: self._assignment for partition in partitions}
         if self._paused:
             consumer.pause(partitions)
         self._count()
 
     def _on_revoke(self, consumer: Consumer, partitions: list[TopicPartition]) -> None:
-        for one in partitions:
-            self._assignments.pop(one.partition, None)
+        for partition in partitions:
+            self._assignments.pop(partition.partition, None)
         self._early = deque(message for message in self._early if self.holds(message))
         consumer.incremental_unassign(partitions)
         self._count()

@@ -60,8 +60,8 @@ class HeldReferences:
         """Return references for which another attempt is due, at most :data:`HELD_AT_ONCE`."""
         with self.storage.read() as unit:
             items: Sequence[Quarantined] = unit.quarantine.due(STAGE, self.clock.now_ns(), HELD_AT_ONCE)
-        found = [from_text(item.inputs) for item in items]
-        return [reference for reference in found if reference is not None]
+        references = [from_text(item.inputs) for item in items]
+        return [reference for reference in references if reference is not None]
 
 
 def missing(reference: Reference, fault: LostRecordingError) -> PassingFaultError:
@@ -99,11 +99,11 @@ class ReferenceTaking:
         mounted: nothing has changed.
         """
         with self.storage.read() as unit:
-            found = unit.chunks.get(reference.digest)
-        if found is None:
+            record = unit.chunks.get(reference.digest)
+        if record is None:
             behind = self.backlog.behind(reference.size_bytes)
             return behind if behind is not None else self._new(reference)
-        taken = _taken(found, reference, Outcome.KNOWN)
+        taken = _taken(record, reference, Outcome.KNOWN)
         self.held.release(reference.digest)
         return taken
 
@@ -125,12 +125,12 @@ class ReferenceTaking:
         return _taken(stored, reference, Outcome.KNOWN if known else Outcome.STORED)
 
 
-def _taken(found: ChunkRecord, reference: Reference, outcome: Outcome) -> Taken:
-    if found.state is ChunkState.DELETED:
+def _taken(record: ChunkRecord, reference: Reference, outcome: Outcome) -> Taken:
+    if record.state is ChunkState.DELETED:
         return Taken(Outcome.DELETED)
-    if found.vehicle != reference.vehicle:
+    if record.vehicle != reference.vehicle:
         return Taken(Outcome.OTHER_VEHICLE)
-    return Taken(outcome, code_of(found.reason) is ReasonCode.WAITS_FOR_DECODING)
+    return Taken(outcome, code_of(record.reason) is ReasonCode.WAITS_FOR_DECODING)
 
 
 POLL_S = 0.5
@@ -147,23 +147,16 @@ Decode = Callable[[Callable[[int, int], None], str | None], DecodedChunks]
 """Decodes what waits, as :func:`ingest.intake.backlog.decode_received`, given its last two arguments."""
 
 
+@dataclass(slots=True)
 class Consuming:
     """Takes messages until asked to end."""
 
-    def __init__(
-        self,
-        reader: TopicReader,
-        taking: ReferenceTaking,
-        decode: Decode,
-        status: ConsumerStatus,
-        stopped: Callable[[], bool],
-    ) -> None:
-        self._reader = reader
-        self._taking = taking
-        self._decode_received = decode
-        self._status = status
-        self._stopped = stopped
-        self._looked_s = float("-inf")
+    _reader: TopicReader
+    _taking: ReferenceTaking
+    _decode_received: Decode
+    _status: ConsumerStatus
+    _stopped: Callable[[], bool]
+    _looked_s: float = float("-inf")
 
     def run(self) -> None:
         """Consume; what has no committed offset at the end comes again."""
@@ -193,16 +186,16 @@ class Consuming:
         """Take a reference however long that waits; None where an end is requested, or another member has it."""
         delays, failures = Backoff(FIRST_DELAY_S, LONGEST_DELAY_S), 0
         while not self._stopped() and self._reader.holds(message):
-            found = self._attempted(reference)
-            if found is None or isinstance(found, Outcome):
-                return found
-            if isinstance(found, Behind):
-                if self._caught_up(found):
+            outcome = self._attempted(reference)
+            if outcome is None or isinstance(outcome, Outcome):
+                return outcome
+            if isinstance(outcome, Behind):
+                if self._caught_up(outcome):
                     continue
-            elif not isinstance(found, PassingFaultError):
+            elif not isinstance(outcome, PassingFaultError):
                 failures += 1
-                for_good = failures >= ATTEMPTS or not isinstance(found, StorageError)
-                if for_good and self._held(reference, found):
+                for_good = failures >= ATTEMPTS or not isinstance(outcome, StorageError)
+                if for_good and self._held(reference, outcome):
                     return Outcome.FAILED
             self._reader.wait(delays.failed(), self._stopped)
         return None
@@ -223,17 +216,17 @@ class Consuming:
             return error
 
     def _taken(self, reference: Reference) -> Outcome | Behind:
-        found = self._taking.take(reference)
+        taken = self._taking.take(reference)
         self._well()
-        if isinstance(found, Behind):
-            return found
+        if isinstance(taken, Behind):
+            return taken
         self._status.behind = None
-        if found.outcome not in {Outcome.STORED, Outcome.KNOWN}:
+        if taken.outcome not in {Outcome.STORED, Outcome.KNOWN}:
             chunk = f"chunk {reference.digest[:12]} of vehicle {reference.vehicle}"
-            _log.warning("a reference to %s: %s", chunk, found.outcome)
-        if found.waits:
+            _log.warning("a reference to %s: %s", chunk, taken.outcome)
+        if taken.waits:
             self._decode(reference.vehicle)
-        return found.outcome
+        return taken.outcome
 
     def _caught_up(self, behind: Behind) -> bool:
         """Decode what keeps new receipts out; return whether any was."""
@@ -288,16 +281,16 @@ class Consuming:
         """Try a reference that was held; return whether the next one gets its turn."""
         self._reader.stay()
         try:
-            found = self._taken(reference)
+            outcome = self._taken(reference)
         except (StoppedError, StorageError, PassingFaultError):
             raise
         except Exception as error:  # noqa: BLE001 - whatever it is, the next one gets its turn
             _log.exception("a held reference to chunk %s failed", reference.digest)
             self._taking.held.hold(reference, error)
             return True
-        if isinstance(found, Behind):
+        if isinstance(outcome, Behind):
             return False
-        _log.info("the held reference to chunk %s was tried again: %s", reference.digest[:12], found)
+        _log.info("the held reference to chunk %s was tried again: %s", reference.digest[:12], outcome)
         return True
 
     def _fault(self, error: Exception) -> None:

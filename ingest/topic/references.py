@@ -100,10 +100,10 @@ def read_message(key: bytes | None, value: bytes | None) -> Reference | Refused:
         size = "no value" if value is None else f"{len(value):,} bytes, a reference has at most {MOST_BYTES:,}"
         return Refused(Outcome.MALFORMED, f"has {size}")
     try:
-        found = orjson.loads(value)
+        document = orjson.loads(value)
     except orjson.JSONDecodeError as error:
         return Refused(Outcome.MALFORMED, f"is no JSON: {error}"[:SHOWN])
-    version = found.get("version") if isinstance(found, dict) else None
+    version = document.get("version") if isinstance(document, dict) else None
     if type(version) is not int:
         return Refused(Outcome.MALFORMED, "is no object with a version")
     if version != VERSION:
@@ -264,17 +264,17 @@ class Publisher:
 
     def _fleet(self, vehicle: str) -> str:
         """Return the fleet of a vehicle; empty where it cannot be found now."""
-        found, until_s = self._fleets.get(vehicle, ("", 0.0))
+        fleet, until_s = self._fleets.get(vehicle, ("", 0.0))
         if time.monotonic() < until_s:
-            return found
+            return fleet
         try:
-            found = self._fleet_of(vehicle)
+            fleet = self._fleet_of(vehicle)
         except TreadwatchError:  # not registered yet, or the database is away: the key only decides the partition
-            return found
+            return fleet
         if len(self._fleets) >= FLEETS_KEPT:
             self._fleets.clear()
-        self._fleets[vehicle] = (found, time.monotonic() + FLEET_COUNTS_S)
-        return found
+        self._fleets[vehicle] = (fleet, time.monotonic() + FLEET_COUNTS_S)
+        return fleet
 
     def _delivered(self, producer: Producer, error: KafkaError | None, _message: Message) -> None:
         if producer is not self._producer:  # replaced: what it held has failed

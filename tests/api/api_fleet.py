@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from believed_now import with_ahead
 
 from bench.put_values import put_geometry, put_trend
 from estimation.contact.profiles import MeasuredProfiles, Profile
@@ -45,6 +44,7 @@ from estimation.values.track import AlignmentSource, TrackAlignment, TrackReport
 from estimation.values.trend import SuspensionFinding, TrendRecord, WearTrend
 from estimation.values.windows import Window, WindowQuality
 from ingest.vehicle_class_schema import shipped_class
+from tests.believed_now import with_ahead
 
 SECOND = 1_000_000_000
 DAY = 86_400 * SECOND

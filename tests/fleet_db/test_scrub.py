@@ -13,9 +13,8 @@ from estimation.values.runs import QuarantineState, SubjectKind
 from fleet_db.keeping import checks
 from fleet_db.keeping.checks import STAGE, ScrubFault, ScrubPlan, scrub
 from fleet_db.raw import FileRawStore
-from fleet_db.records import ChunkRecord, ChunkState
+from fleet_db.records import ChunkRecord, ChunkState, RawScrub
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.chunks import RawScrub
 
 WHOLE = ScrubPlan()
 

@@ -85,8 +85,8 @@ def test_the_damper_of_a_running_gear_is_replaced_and_comes_back(fleet: SqlStora
     with fleet.write() as unit:
         for one in (unknown, known):
             put(unit, one)
-            assert unit.dampers.of_vehicle("V-1") == [one]
-        assert unit.dampers.of_vehicle("V-2") == []
+            assert unit.dampers.of_vehicles(["V-1"]) == [one]
+        assert unit.dampers.of_vehicles(["V-2"]) == []
 
 
 def test_a_blob_of_another_kind_is_damage() -> None:

@@ -97,13 +97,13 @@ def test_one_that_was_set_aside_counts_no_more_and_restored_it_counts_again(
     digest = deployment.receive(second)
     both = deployment.windows()
     assert alone != both
-    assert deployment.corrections.set_aside(digest, AUTHOR).state is ChunkState.SET_ASIDE
+    assert deployment.corrections.correct(digest, RecordingAction.SET_ASIDE, AUTHOR).state is ChunkState.SET_ASIDE
     deployment.rest()
     assert deployment.windows() == alone
     assert deployment.receive(second) == digest  # received again it stays aside
     deployment.rest()
     assert deployment.windows() == alone
-    deployment.corrections.restore(digest, AUTHOR)
+    deployment.corrections.correct(digest, RecordingAction.RESTORE, AUTHOR)
     deployment.rest()
     assert deployment.windows() == both
     with deployment.storage.read() as unit:
@@ -124,19 +124,19 @@ def test_one_that_came_from_the_wrong_vehicle_is_moved_as_if_it_had_come_from_th
     of_one = deployment.windows()
     with pytest.raises(ConflictError, match=f"recordings reassign {digest[:12]} --vehicle {OTHER}"):
         deployment.receive(second, OTHER)
-    deployment.corrections.reassign(digest, OTHER, AUTHOR)
+    deployment.corrections.correct(digest, RecordingAction.REASSIGN, AUTHOR, OTHER)
     deployment.rest()
     moved = deployment.windows()
     assert {row[0] for row in moved} == {VEHICLE, OTHER}
     assert {row[2] for row in moved if row[0] == OTHER} == {"OT-1", "OT-2"}
     assert deployment.receive(second, OTHER) == digest
-    deployment.corrections.reassign(digest, VEHICLE, AUTHOR)  # and back
+    deployment.corrections.correct(digest, RecordingAction.REASSIGN, AUTHOR, VEHICLE)  # and back
     deployment.rest()
     assert deployment.windows() == of_one
     with pytest.raises(ConflictError, match=f"is of vehicle {VEHICLE} already"):
-        deployment.corrections.reassign(digest, VEHICLE, AUTHOR)
+        deployment.corrections.correct(digest, RecordingAction.REASSIGN, AUTHOR, VEHICLE)
     with pytest.raises(NotFoundError, match="no vehicle 'nobody'"):
-        deployment.corrections.reassign(digest, "nobody", AUTHOR)
+        deployment.corrections.correct(digest, RecordingAction.REASSIGN, AUTHOR, "nobody")
 
 
 def test_those_that_it_had_given_their_time_wait_without_it(deployment: Deployment, tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def test_those_that_it_had_given_their_time_wait_without_it(deployment: Deployme
     digest = deployment.receive(with_time)
     waiting = deployment.receive(without)
     both = deployment.windows()
-    deployment.corrections.set_aside(digest, AUTHOR)
+    deployment.corrections.correct(digest, RecordingAction.SET_ASIDE, AUTHOR)
     deployment.rest()
     assert deployment.windows() == set()
     with deployment.storage.read() as unit:
@@ -155,7 +155,7 @@ def test_those_that_it_had_given_their_time_wait_without_it(deployment: Deployme
     assert record is not None
     assert record.reason is not None
     assert (record.state, record.reason.code) == (ChunkState.STORED, ReasonCode.WAITS_FOR_TIME)
-    deployment.corrections.restore(digest, AUTHOR)
+    deployment.corrections.correct(digest, RecordingAction.RESTORE, AUTHOR)
     deployment.rest()
     assert deployment.windows() == both
 
@@ -168,14 +168,14 @@ def test_one_that_was_rejected_is_tried_again_by_hand_only(deployment: Deploymen
     with deployment.storage.read() as unit:
         (record,) = unit.chunks.with_state(ChunkState.REJECTED)
     assert deployment.rest() == []
-    deployment.corrections.retry(record.digest[:12], AUTHOR)
+    deployment.corrections.correct(record.digest[:12], RecordingAction.RETRY, AUTHOR)
     (error,) = deployment.rest()
     assert isinstance(error, LogFileError)
-    deployment.corrections.set_aside(record.digest, AUTHOR)
+    deployment.corrections.correct(record.digest, RecordingAction.SET_ASIDE, AUTHOR)
     with pytest.raises(ConflictError, match="is set_aside"):
-        deployment.corrections.retry(record.digest, AUTHOR)
+        deployment.corrections.correct(record.digest, RecordingAction.RETRY, AUTHOR)
     with pytest.raises(NotFoundError, match="no recording 'ffff'"):
-        deployment.corrections.retry("ffff", AUTHOR)
+        deployment.corrections.correct("ffff", RecordingAction.RETRY, AUTHOR)
     with deployment.storage.read() as unit:
         assert unit.quarantine.get(SubjectKind.RECORDING, record.digest, "ingest") is None
 
@@ -202,7 +202,7 @@ def test_one_that_was_deleted_is_as_if_it_had_never_come_and_comes_back_only_whe
     assert deployment.receiver.keep(second.read_bytes(), ".blf", VEHICLE, "a")[0].state is ChunkState.DELETED
     assert not raw.path(digest, ".blf").exists()
     with pytest.raises(ConflictError, match="is deleted"):
-        deployment.corrections.restore(digest, AUTHOR)
+        deployment.corrections.correct(digest, RecordingAction.RESTORE, AUTHOR)
     deployment.receiver = Receiver(
         deployment.storage, raw, default_catalogue(), CountingClock(), 10.0, deleted_taken_by="lee"
     )
@@ -231,6 +231,8 @@ def test_one_under_the_name_of_no_vehicle_is_as_if_it_had_come_for_the_one_that_
         with pytest.raises(NotFoundError, match="no vehicle 'nobody'"):
             deployment.receive(path, "nobody")
     for digest in digests:
-        assert deployment.corrections.reassign(digest, VEHICLE, AUTHOR).state is ChunkState.STORED
+        assert (
+            deployment.corrections.correct(digest, RecordingAction.REASSIGN, AUTHOR, VEHICLE).state is ChunkState.STORED
+        )
     deployment.rest()
     assert deployment.windows() == at_first

@@ -11,6 +11,7 @@ from exchange_runs import EXAMPLE, register, true_run, write_csv
 from estimation.errors import ConflictError
 from estimation.values.arrays import FloatArray
 from fleet_db.raw import FileRawStore
+from fleet_db.records import RecordingAction
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.chunks import ChosenChunks
 from ingest.catalogue import default_catalogue
@@ -51,5 +52,7 @@ def test_a_run_of_a_time_that_another_one_has_is_refused_and_taken_once_that_is_
         receiver.receive_exchange(run)
     with sqlite_storage.read() as unit:
         assert len(unit.chunks.page(ChosenChunks(), 10)) == 1
-    RecordingCorrections(sqlite_storage, Clock()).set_aside(first.digest, Author("kim", "the other is right"))
+    RecordingCorrections(sqlite_storage, Clock()).correct(
+        first.digest, RecordingAction.SET_ASIDE, Author("kim", "the other is right")
+    )
     assert receiver.receive_exchange(run).windows_changed == 6

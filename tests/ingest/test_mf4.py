@@ -12,7 +12,7 @@ import pytest
 from estimation.errors import LogFileError
 from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from ingest.logs import read_log
-from ingest.logs.mf4 import MF4Frames, merged
+from ingest.logs.mf4 import FRAME, Frames, merged
 
 START_S = 1_750_000_000.0
 
@@ -83,13 +83,10 @@ def test_several_buses_are_refused(tmp_path: Path) -> None:
         read_log(path)
 
 
-def frames(seconds: list[float], group: int) -> MF4Frames:
-    count = len(seconds)
-    plain = np.zeros(count, np.uint8)
-    numbers = np.arange(count) + 1000 * group
-    return MF4Frames(
-        np.array(seconds), numbers.astype(np.uint32), plain, np.zeros((count, 8), np.uint8), np.zeros(count, np.int64)
-    )
+def frames(seconds: list[float], group: int) -> Frames:
+    made = np.zeros(len(seconds), FRAME)
+    made["seconds"], made["identifier"] = seconds, np.arange(len(seconds)) + 1000 * group
+    return made
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -106,8 +103,8 @@ def test_groups_are_merged_as_by_their_heads(seed: int) -> None:
         wanted.append(1000 * number + heads[number])
         heads[number] += 1
     pieces = [
-        iter([frames(group.tolist(), n).part(slice(at, at + 4)) for at in range(0, len(group), 4)])
+        iter([frames(group.tolist(), n)[at : at + 4] for at in range(0, len(group), 4)])
         for n, group in enumerate(groups)
     ]
-    found = [int(number) for part in merged(pieces) for number in part.identifier]
+    found = [int(number) for part in merged(pieces) for number in part["identifier"]]
     assert found == wanted

@@ -12,7 +12,7 @@ from estimation.errors import LogFileError
 from estimation.values.reasons import ReasonCode
 from estimation.values.units import DAY_NS, SECOND_NS
 from fleet_db.raw import FileRawStore
-from fleet_db.records import ChunkState
+from fleet_db.records import ChunkState, RecordingAction
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
 from ingest.corrections import Author, RecordingCorrections
@@ -120,7 +120,9 @@ def test_a_recording_that_our_slow_clock_refused_is_decoded_once_it_is_right(
         (RECEIVED_NS, True, ChunkState.DECODED),
     ):
         clock.now = now
-        corrections.retry(digest, Author("j.smith", "the clock is right"), our_clock_was_behind=behind)
+        corrections.correct(
+            digest, RecordingAction.RETRY, Author("j.smith", "the clock is right"), our_clock_was_behind=behind
+        )
         list(receiver.decode_stored())
         with sqlite_storage.read() as unit:
             found = unit.chunks.get(digest)
@@ -130,8 +132,8 @@ def test_a_recording_that_our_slow_clock_refused_is_decoded_once_it_is_right(
         assert found.received_ns == received_ns  # the receipt stays as it was given
         assert last.recorded_ns == now
     assert found.clock_checked_ns == RECEIVED_NS
-    corrections.set_aside(digest, Author("j.smith", "a test"))
-    corrections.restore(digest, Author("j.smith", "none"))
+    corrections.correct(digest, RecordingAction.SET_ASIDE, Author("j.smith", "a test"))
+    corrections.correct(digest, RecordingAction.RESTORE, Author("j.smith", "none"))
     list(receiver.decode_stored())
     with sqlite_storage.read() as unit:
         assert [record.digest for record in unit.chunks.with_state(ChunkState.DECODED)] == [digest]

@@ -13,7 +13,7 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.settings import JobSettings
 from estimation.values.alerts import Alert
 from fleet_db.raw import FileRawStore
-from fleet_db.records import ChunkState
+from fleet_db.records import ChunkState, RecordingAction
 from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
 from ingest.corrections import Author, RecordingCorrections
@@ -66,7 +66,7 @@ def test_it_is_one_alert_at_the_first_axle_and_ends_when_it_is_set_aside(
     assert alert.condition == "active"
     assert (alert.evidence["rejected_recordings"], alert.evidence["rejected_reasons"]) == (1, {"log_damaged": 1})
     assert evaluated(sqlite_storage) == [alert]
-    RecordingCorrections(sqlite_storage, SystemClock()).set_aside(digest, AUTHOR)
+    RecordingCorrections(sqlite_storage, SystemClock()).correct(digest, RecordingAction.SET_ASIDE, AUTHOR)
     assert evaluated(sqlite_storage) == []
 
 
@@ -78,6 +78,7 @@ def test_it_ends_when_the_recording_is_decoded(sqlite_storage: SqlStorage, recei
     )
     digest = rejected(sqlite_storage, slow, path)
     assert len(evaluated(sqlite_storage)) == 1
-    RecordingCorrections(sqlite_storage, SystemClock()).retry(digest, AUTHOR, our_clock_was_behind=True)
+    corrections = RecordingCorrections(sqlite_storage, SystemClock())
+    corrections.correct(digest, RecordingAction.RETRY, AUTHOR, our_clock_was_behind=True)
     list(receiver.decode_stored())
     assert evaluated(sqlite_storage) == []

@@ -36,8 +36,8 @@ def batch_of(files: list[BytesIO], sink: FrameSink) -> tuple[FrameBatch, dict[st
         np.frombuffer(file.getvalue(), layout.base).reshape(-1, *layout.shape)
         for file, layout in zip(files, COLUMNS, strict=True)
     ]
-    assert len(columns[0]) == summary.frames
-    return FrameBatch(summary.channel, *columns), summary.counts
+    assert len(columns[0]) == summary["frames"]
+    return FrameBatch(summary["channel"], *columns), summary["counts"]
 
 
 def asc(path: Path, body: str, head: str = HEAD) -> tuple[FrameBatch, dict[str, int]]:

@@ -279,7 +279,7 @@ def test_a_vehicle_without_class_parameters_gives_a_reason_and_stops_nobody(
         holds_no_number(of(storage, own), {ReasonCode.CLASS_UNKNOWN})
         others_go_on(storage, estimated_fleet.scenario.section.code, others)
         with storage.read() as unit:
-            assert list(unit.dampers.of_vehicle("V0")) == []
+            assert list(unit.dampers.of_vehicles(["V0"])) == []
 
 
 def at_other_axles(unit: SqlUnitOfWork) -> None:
