@@ -100,7 +100,8 @@ def motions_of(unit: UnitOfWork, serial: str, context: JobContext) -> tuple[Esti
     for part in found.current_parts():
         used = found.estimated_with([part])
         parameters = parameters_of(used)
-        motions += [motion for _, motion in replayed(unit, members(unit, found.rules, part), used.assumed.windows)]
+        windows = replayed(unit, members(unit, found.rules, part), used.assumed.window_parameters)
+        motions += [motion for _, motion in windows]
     return parameters, motions
 
 

@@ -199,7 +199,7 @@ def _by_rival(unit: UnitOfWork, rolled: RolledGeometries, rival: Estimator[Any])
     used = rolled.estimated_with(parts)
     motions, key = _weighted(unit, rolled, used, parts), f"{used.bins.key} {rival.name}"
     geometry = geometry_from_motion(rival, parameters_of(used), motions, used.bins.edges, key)
-    for contradiction in contradictions(rolled.forgetting(parts), used.bins, used.uncertainty):
+    for contradiction in contradictions(rolled.forgetting_sum(parts), used.bins, used.uncertainty):
         geometry = geometry.against(contradiction)
     return geometry.against(rolled.contradiction(parts, (parts[0].roll_up.key.baseline, None)))
 
@@ -208,7 +208,7 @@ def parameters_of(used: EstimatedWith) -> EstimatorParameters:
     """Return what all estimators share, as the job has it."""
     settings = used.settings
     return EstimatorParameters(
-        used.assumed.windows.vehicle,
+        used.assumed.window_parameters.vehicle,
         used.uncertainty,
         settings.geometry.curve,
         settings.signals.source,
@@ -223,5 +223,5 @@ def _weighted(
     together = [member for part in parts for member in members(unit, rolled.rules, part)]
     ordered = sorted(together, key=lambda member: member.start_ns)
     newest_km = max((part.roll_up for part in parts), key=lambda roll_up: roll_up.last_ns).last_km
-    for member, moved in replayed(unit, ordered, used.assumed.windows):
+    for member, moved in replayed(unit, ordered, used.assumed.window_parameters):
         yield 0.5 ** ((newest_km - member.mileage_km) / rolled.rules.half_life_km), moved

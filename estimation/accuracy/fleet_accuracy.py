@@ -52,25 +52,25 @@ def estimate_of_date(
     # no data of after the next. Where that interval has no conicity it is the nearest one that has, if its mileage is
     # within an interval of the measurement: in that distance a profile hardly wears.
     baseline, begin_km = baseline_at(wheelset, measurement.at_ns)
-    own = [one for one in intervals if one.baseline == baseline and one.interval is not None and one.geometry.windows]
-    if not own:
+    of_baseline = [r for r in intervals if r.baseline == baseline and r.interval is not None and r.geometry.windows]
+    if not of_baseline:
         since = "the wheelset was new" if baseline == 0 else f"reprofiling {baseline}"
         return EstimateOfDate(None, Reason(ReasonCode.NO_GEOMETRY, f"nothing was estimated since {since}"))
-    same = [one for one in own if _same_side(one, measurement.at_ns, change)]
-    if not same:
+    same_side = [record for record in of_baseline if _same_side(record, measurement.at_ns, change)]
+    if not same_side:
         text = "all estimates of this profile are of another wheelset, or of one mounted the other way round"
         return EstimateOfDate(None, Reason(ReasonCode.IDENTITY_DOUBTFUL, text))
     containing = int((measurement.mileage_km - begin_km) // interval_km)
-    chosen = next((one for one in same if one.interval == containing), None)
+    chosen = next((record for record in same_side if record.interval == containing), None)
 
     def apart(record: GeometryRecord) -> float:
         return abs(record.mileage_km - measurement.mileage_km)
 
     if chosen is None or not _has_conicity(chosen):
-        near = [one for one in same if _has_conicity(one) and apart(one) <= interval_km]
+        near = [record for record in same_side if _has_conicity(record) and apart(record) <= interval_km]
         chosen = min(near, key=apart, default=chosen)
     if chosen is None:
-        text = f"the nearest estimate of this profile is {min(map(apart, same)):.0f} km from the measurement"
+        text = f"the nearest estimate of this profile is {min(map(apart, same_side)):.0f} km from the measurement"
         return EstimateOfDate(None, Reason(ReasonCode.NO_ESTIMATE_NEAR, text))
     if _has_conicity(chosen):
         return EstimateOfDate(chosen, None)

@@ -72,10 +72,10 @@ def wheel_contact(wheels: WheelPair, rails: Sequence[RailShare]) -> WheelContact
     if not rails:
         return Reason(ReasonCode.SECTION_UNKNOWN, "no section is on file on whose rails the wheels could be looked at")
     try:
-        found = [_on_rails(wheels, one) for one in rails]
+        found = [_on_rails(wheels, rail) for rail in rails]
     except (ContactError, ProfileError, ParameterError) as error:
         return Reason(ReasonCode.CONTACT_IMPOSSIBLE, str(error))
-    share = np.array([one.share for one in rails]) / sum(one.share for one in rails)
+    share = np.array([rail.share for rail in rails]) / sum(rail.share for rail in rails)
     table = found[0][0]
     sums, differences = (
         np.array([np.where(one.exists[:, 0], getattr(one, name)[:, 0], np.nan) for one, _ in found])
@@ -140,8 +140,8 @@ def _on_rails(wheels: WheelPair, one: RailShare) -> tuple[ContactTable, RadiusDi
 def _mean_curve(curves: Sequence[RadiusDifferenceCurve], share: FloatArray) -> tuple[FloatArray, FloatArray]:
     if len(curves) == 1:
         return curves[0].displacement, curves[0].difference
-    low = max(float(one.displacement[0]) for one in curves)
-    high = min(float(one.displacement[-1]) for one in curves)
-    x = np.unique(np.concatenate([one.displacement for one in curves]))
+    low = max(float(curve.displacement[0]) for curve in curves)
+    high = min(float(curve.displacement[-1]) for curve in curves)
+    x = np.unique(np.concatenate([curve.displacement for curve in curves]))
     x = x[(x >= low) & (x <= high)]
-    return x, share @ np.array([np.interp(x, one.displacement, one.difference) for one in curves])
+    return x, share @ np.array([np.interp(x, curve.displacement, curve.difference) for curve in curves])

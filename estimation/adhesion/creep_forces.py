@@ -76,7 +76,7 @@ def gear_segments(
     segments = []
     for parts in zip(*found, strict=True):
         rolls = tuple(
-            remove_wander(one.displacements[[ROLL]], one.run, one.known, MOTION.longest_roll_wave)[0] for one in parts
+            remove_wander(p.displacements[[ROLL]], p.run, p.known, MOTION.longest_roll_wave)[0] for p in parts
         )
         segments.append(GearSegment(parts, rolls, _accelerations(windows, parts, rolls)))
     return GearSegments(tuple(segments), usable, windows[0].sample_interval_s, axles)
@@ -219,7 +219,7 @@ def _smoothed(gear: GearSegments, segment: GearSegment, vehicle_class: VehicleCl
     first = parts[0]
     speed = float(first.speed.mean())
     made = stationary_filter(vehicle_class, gear.sample_interval_s, speed)
-    roll_rates = [remove_wander(one.rates[[ROLL]], one.run, one.known, MOTION.longest_roll_wave)[0] for one in parts]
+    roll_rates = [remove_wander(p.rates[[ROLL]], p.run, p.known, MOTION.longest_roll_wave)[0] for p in parts]
     measurements = np.zeros((len(first.speed), len(made.measured)))
     lateral = slice(0, 2 * made.axles, 2)
     steady, vibrating = without_vibration(segment.accelerations, first.known, gear.sample_interval_s, lateral)
@@ -290,11 +290,11 @@ class FileErrors:
         if not classes:
             return cls()
         return cls(
-            max(one.std_of("longitudinal_creep_coefficient") for one in classes),
-            max(one.std_of("yaw_stiffness") for one in classes),
-            max(one.std_of("load") for one in classes),
-            max(one.sensors.yaw.usual_scale_std for one in classes),
-            max(lateral_scale_std(one.sensors) for one in classes),
+            max(vehicle_class.std_of("longitudinal_creep_coefficient") for vehicle_class in classes),
+            max(vehicle_class.std_of("yaw_stiffness") for vehicle_class in classes),
+            max(vehicle_class.std_of("load") for vehicle_class in classes),
+            max(vehicle_class.sensors.yaw.usual_scale_std for vehicle_class in classes),
+            max(lateral_scale_std(vehicle_class.sensors) for vehicle_class in classes),
         )
 
     @property

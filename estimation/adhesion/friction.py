@@ -70,7 +70,7 @@ def section_adhesion(
     track_section: str, passes: Sequence[WindowAdhesion], parameters: FrictionParameters, length: float = math.inf
 ) -> SectionAdhesion | None:
     """Return the friction on the ``length`` (m) of a section and where it is low; None where no pass says anything."""
-    known = [one for one in passes if one.sums is not None and len(one.sums.cells)]
+    known = [window_pass for window_pass in passes if window_pass.sums is not None and len(window_pass.sums.cells)]
     found, left_out = pooled_friction(known, parameters)
     cells = tuple(cell for cell in found if 0.0 <= cell.from_m < length)
     if not cells:
@@ -105,7 +105,7 @@ def pooled_friction(
 def _staying(passes: Sequence[WindowAdhesion], left_out: Sequence[LeftOut]) -> Sequence[WindowAdhesion]:
     vehicles = {one.vehicle for one in left_out if one.wheelset is None}
     wheelsets = {one.wheelset for one in left_out}
-    return [one for one in passes if one.vehicle not in vehicles and one.wheelset not in wheelsets]
+    return [item for item in passes if item.vehicle not in vehicles and item.wheelset not in wheelsets]
 
 
 def _places(sums: PassSums, found: _Solution, parameters: FrictionParameters) -> tuple[CellFriction, ...]:
@@ -244,20 +244,20 @@ def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters)
     # shows, and is no good rails; the stretch reaches as far as that is not unlikely. One other place may be between.
     # The creep of one vehicle is better known on a section where it is held against that of others.
     reached = min(parameters.at_ends, parameters.likely)
-    beside = any(one.vehicles >= parameters.fewest_vehicles for one in cells)
+    beside = any(cell.vehicles >= parameters.fewest_vehicles for cell in cells)
     by_one = max(parameters.likely, parameters.beside_others if beside else parameters.certain)
     found: list[tuple[float, float, bool]] = []
-    for one in cells:
-        if one.friction.value is None or one.low_probability < reached:
+    for cell in cells:
+        if cell.friction.value is None or cell.low_probability < reached:
             continue
-        agreed, high = one.vehicles >= parameters.fewest_vehicles, one.friction.high
+        agreed, high = cell.vehicles >= parameters.fewest_vehicles, cell.friction.high
         needed = parameters.likely if agreed else by_one
-        shows = one.low_probability >= needed and high is not None and high < parameters.good
-        if found and one.from_m - found[-1][1] <= CELL_LENGTH:
+        shows = cell.low_probability >= needed and high is not None and high < parameters.good
+        if found and cell.from_m - found[-1][1] <= CELL_LENGTH:
             begin, _, before = found.pop()
-            found.append((begin, one.to_m, before or shows))
+            found.append((begin, cell.to_m, before or shows))
         else:
-            found.append((one.from_m, one.to_m, shows))
+            found.append((cell.from_m, cell.to_m, shows))
     return tuple((begin, end) for begin, end, shows in found if shows)
 
 
@@ -266,12 +266,12 @@ def certain_stretches(cells: Sequence[CellFriction], parameters: FrictionParamet
     # a vehicle that is alone is certain of nothing: the geometries by which it judges the rails are its own
     certain = max(parameters.certain, parameters.likely)
     found: list[tuple[float, float]] = []
-    for one in cells:
-        agreed = one.vehicles >= parameters.fewest_vehicles and one.friction.value is not None
-        if not agreed or one.low_probability < certain:
+    for cell in cells:
+        agreed = cell.vehicles >= parameters.fewest_vehicles and cell.friction.value is not None
+        if not agreed or cell.low_probability < certain:
             continue
-        begin = found.pop()[0] if found and found[-1][1] == one.from_m else one.from_m
-        found.append((begin, one.to_m))
+        begin = found.pop()[0] if found and found[-1][1] == cell.from_m else cell.from_m
+        found.append((begin, cell.to_m))
     return tuple(found)
 
 

@@ -84,23 +84,23 @@ class PassSums(FrozenArrays):
 
 def pass_sums(passes: Sequence[WindowAdhesion]) -> PassSums | None:
     """Return the sums of passes; None where none says anything."""
-    ordered = sorted(passes, key=lambda one: one.key)
-    known = [(one, one.sums) for one in ordered if one.sums is not None and len(one.sums.cells)]
-    if not known:
+    ordered = sorted(passes, key=lambda window_pass: window_pass.key)
+    with_sums = [(item, item.sums) for item in ordered if item.sums is not None and len(item.sums.cells)]
+    if not with_sums:
         return None
-    lengths = [len(sums.cells) for _, sums in known]
-    cells, place = np.unique(np.concatenate([sums.cells for _, sums in known]), return_inverse=True)
+    lengths = [len(sums.cells) for _, sums in with_sums]
+    cells, place = np.unique(np.concatenate([sums.cells for _, sums in with_sums]), return_inverse=True)
     order = np.argsort(place, kind="stable")
-    vehicles, vehicle = np.unique([one.vehicle for one, _ in known], return_inverse=True)
-    wheelsets, wheelset = np.unique([one.wheelset for one, _ in known], return_inverse=True)
+    vehicles, vehicle = np.unique([item.vehicle for item, _ in with_sums], return_inverse=True)
+    wheelsets, wheelset = np.unique([item.wheelset for item, _ in with_sums], return_inverse=True)
     return PassSums(
-        np.concatenate([sums.samples for _, sums in known])[order],
-        np.concatenate([sums.squares for _, sums in known])[order],
-        np.concatenate([sums.saturated for _, sums in known])[order],
+        np.concatenate([sums.samples for _, sums in with_sums])[order],
+        np.concatenate([sums.squares for _, sums in with_sums])[order],
+        np.concatenate([sums.saturated for _, sums in with_sums])[order],
         place[order],
         np.repeat(vehicle, lengths)[order],
         np.repeat(wheelset, lengths)[order],
-        np.repeat([float(one.smoothed) for one, _ in known], lengths)[order],
+        np.repeat([float(item.smoothed) for item, _ in with_sums], lengths)[order],
         cells,
         tuple(str(name) for name in vehicles),
         tuple(str(name) for name in wheelsets),
@@ -317,13 +317,13 @@ def creep_levels(
     vehicle = passed // len(sums.cells)
     by_rails = before.level_std * float(np.median(expected)) / before.usual
     usual_rails = ~slippery[passed % len(sums.cells)]
-    found = []
-    for one in range(len(sums.vehicles)):
-        of_vehicle = vehicle == one
+    exceeding = []
+    for number in range(len(sums.vehicles)):
+        of_vehicle = vehicle == number
         chosen = of_vehicle & usual_rails
         chosen = chosen if 2 * chosen.sum() >= of_vehicle.sum() else of_vehicle
-        found.append(_shrunk(exceeds[chosen], by_rails, before.creep_error_std))
-    return np.array(found), float(1.0 / np.sqrt(before.creep_error_std**-2 + by_rails**-2))
+        exceeding.append(_shrunk(exceeds[chosen], by_rails, before.creep_error_std))
+    return np.array(exceeding), float(1.0 / np.sqrt(before.creep_error_std**-2 + by_rails**-2))
 
 
 def _shrunk(exceeds: FloatArray, by_rails: float, likely: float) -> float:

@@ -175,7 +175,7 @@ def _filters(kept: _Kept, sample_interval_s: float) -> DamperFilters:
     sources = [0] * len(variants)
     if vehicle_class.bogie is not None:
         variants, sources = [*variants, {}, {}, {}], [*sources, 1, 2, 3]
-    made = [[_one(vehicle_class, share, one, step_s) for one in variants] for share in SHARES]
+    made = [[_one(vehicle_class, share, variant, step_s) for variant in variants] for share in SHARES]
     transition, by_input, measured, gain = (np.array([[one[k] for one in row] for row in made]) for k in range(4))
     apart = [std / math.sqrt(2.0) for std in _scale_stds(vehicle_class.sensors)]
     signals = _signals(len(physical), len(sources))

@@ -1,4 +1,4 @@
-"""Numbers of what windows say of dampers."""
+"""Parameters of the estimate of dampers."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class DampingParameters:
-    """Numbers of what windows say of dampers."""
+    """Parameters of the estimate of dampers."""
 
     # damper
-    unknown_begin_s: float = 6.0  # at the begin of a segment, whose deflections are not known
-    model_error: float = 0.02  # of the acceleration above, that stiff bodies do not explain whatever their parameters
-    least_excitation: float = 3.0  # what motion shows of the damper over what noise does
-    fewest_samples: float = 600.0  # of a window that are counted: 10 s
-    most_unexplained_share: float = 0.05  # mean square of innovations beside noise, over that of the acceleration above
-    window_stride: int = 3  # windows, one of which is looked at: a damper changes over months
+    unknown_begin_s: float = 6.0  # at the begin of a segment, where the deflections are not known yet
+    model_error: float = 0.02  # of the acceleration above: rigid bodies never explain it, whatever their parameters
+    least_excitation: float = 3.0  # effect of the damper in the motion over that in the noise
+    fewest_samples: float = 600.0  # counted samples of a window: 10 s
+    most_unexplained_share: float = 0.05  # mean square of innovations beyond noise, over that of acceleration above
+    window_stride: int = 3  # one window in as many is estimated: a damper changes over months
     largest_std: float = 0.3  # relative, of parameters beside the damper: beyond it their effect is not proportional
     # damper filters
     offset_corner_hz: float = 0.3  # below it the offset of the sensors explains what they measure

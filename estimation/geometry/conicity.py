@@ -42,12 +42,12 @@ class CurveParameters:
     nonlinearity_high: float = 4.0e-3  # m
     fewest_nodes: int = 5
     largest_share: float = 0.25  # or relative to the conicity: one of 0.57 within 0.28 may be far over its limit
-    blur_share: float = 0.3  # of what sharpening changes: what is not known of it
+    blur_share: float = 0.3  # share of the change by sharpening that stays uncertain
     slow_std: float = 0.1e-3  # m, of what the high-pass takes from y - d: the slow motion of the wheelset itself
-    even_share: float = 0.15  # of the part of R that is alike on both sides: what the high-pass makes of it
+    even_share: float = 0.15  # share of the even part of R that the high-pass takes
     even_reach: float = 3e-3  # m of y - d: wheelsets hardly run further
     even_points: int = 61
-    independent_share: float = 0.8  # share of what is systematic at one end of NP that is not at the other
+    independent_share: float = 0.8  # correlation left out: share of a systematic error at 2 mm that is not at 4 mm
 
 
 _Row = tuple[FloatArray, FloatArray]  # displacement (k,), rolling radius difference (k,)
@@ -55,7 +55,7 @@ _Row = tuple[FloatArray, FloatArray]  # displacement (k,), rolling radius differ
 
 @dataclass(frozen=True, slots=True)
 class CurveReplicates:
-    """An estimated curve rL - rR over bin centres, with what its uncertainty needs."""
+    """An estimated curve rL - rR over bin centres, and the inputs of its uncertainty."""
 
     edges: FloatArray  # (b + 1,) m
     difference: FloatArray  # (1 + g, b, 3) m: value, slope, curvature over u; from all data, then each group left out
@@ -64,7 +64,7 @@ class CurveReplicates:
     error: DisplacementError
     count: float  # windows
     band_limited: bool
-    held_shares: tuple[float, ...] = FREE  # of a difference of diameters, in R on average
+    held_shares: tuple[float, ...] = FREE  # for the std of the mean of R by unequal diameters
     contact_roll: ContactRoll | None = None  # in the displacement; None where that needs nothing more
 
     def row(self, x: FloatArray, difference: FloatArray) -> _Row:
@@ -74,7 +74,7 @@ class CurveReplicates:
 
 @dataclass(frozen=True, slots=True)
 class CurveEstimates:
-    """What is published of the curve."""
+    """Published estimates of the curve."""
 
     amplitude: FloatArray  # (a,) m
     conicity: tuple[Estimate, ...]  # (a,)
@@ -116,12 +116,12 @@ def _centre(row: _Row, curve: CurveReplicates, amplitude: float, conicity: float
 
 
 def not_covered(amplitude: float) -> Reason:
-    """Return that the bins do not reach an amplitude."""
+    """Return the reason that the bins do not reach an amplitude."""
     return Reason(ReasonCode.AMPLITUDE_NOT_COVERED, f"amplitude {1e3 * amplitude:g} mm is not covered")
 
 
 def too_few_blocks(groups: int) -> Reason:
-    """Return that there are too few blocks of running time for an interval."""
+    """Return the reason that there are too few blocks of running time for an interval."""
     return Reason(ReasonCode.TOO_FEW_BLOCKS, f"{groups} blocks of data, {PRIORS.fewest_groups} are needed")
 
 
@@ -129,14 +129,14 @@ def _nonlinearity(
     amplitude: FloatArray, values: FloatArray, groups: int, count: float, parameters: CurveParameters
 ) -> Estimate:
     """Return NP, 1/mm, from the conicity rows (r, a) at its two amplitudes."""
-    # what is systematic at the two amplitudes is taken as mostly independent
+    # systematic errors at the two amplitudes are taken as mostly independent
     ends = (parameters.nonlinearity_low, parameters.nonlinearity_high)
     low, high = (values[:, int(np.argmin(np.abs(amplitude - a)))] for a in ends)
     per_mm = 1.0 / (1e3 * (ends[1] - ends[0]))
-    far = slice(groups + 1, None)
-    systematic = parameters.independent_share * np.concatenate([high[far] - high[0], low[far] - low[0]])
-    both = np.concatenate([high[: groups + 1] - low[: groups + 1], high[0] - low[0] + systematic])
-    return _estimate(per_mm * both, groups, count, not_covered(ends[1]))
+    systematic_rows, share = slice(groups + 1, None), parameters.independent_share
+    errors = share * np.concatenate([high[systematic_rows] - high[0], low[systematic_rows] - low[0]])
+    differences = np.concatenate([high[: groups + 1] - low[: groups + 1], high[0] - low[0] + errors])
+    return _estimate(per_mm * differences, groups, count, not_covered(ends[1]))
 
 
 def _run_around_zero(curve: CurveReplicates, parameters: CurveParameters) -> BoolArray | None:
@@ -154,8 +154,10 @@ def _run_around_zero(curve: CurveReplicates, parameters: CurveParameters) -> Boo
 def _rows(
     curve: CurveReplicates, run: BoolArray, amplitude: FloatArray, parameters: CurveParameters
 ) -> tuple[list[_Row], FloatArray]:
-    """Return the curve from all data, each group left out, each systematic uncertainty; and conicities (1 + g + k, a).
+    """Return the curves (1 + g + k + 2) and the conicities (1 + g + k + 6, a).
 
+    Both are from all data, with each of g groups left out, and with each of k parameters changed. Of curves follow the
+    one with its excess put back and the stretched one; of conicities, four displacement errors and two unseen offsets.
     The error of the displacement (std e) flattens the curve: a large measured displacement is too large on average,
     by the factor 1/(1 - e^2/var). That is taken back, as is the blur of contact jumps.
     """
@@ -163,35 +165,35 @@ def _rows(
     nodes = np.stack([nodes_of(shape[run]) for shape in curve.difference])
     slow = parameters.slow_std if curve.band_limited else 0.0
     sharp = sharpen(low, high, nodes[0], jackknife_std(nodes), float(np.hypot(curve.error.blur, slow)))
-    x = (1 - curve.error.excess) * sharp.displacement
+    displacement = (1 - curve.error.excess) * sharp.displacement
     shifted = nodes[0] + nodes_of(np.moveaxis(curve.sensitivity[run], 1, -1)).T  # (k, m)
-    rows = [curve.row(x, sharp.curve(row)) for row in (*nodes, *shifted)]
+    rows = [curve.row(displacement, sharp.curve(node_values)) for node_values in (*nodes, *shifted)]
     conicity = np.stack([equivalent_conicity(*row, amplitude) for row in rows])
-    plain = (1 - curve.error.excess) * edges_and_centres(low, high)
-    blurred = curve.row(plain, replace(curve.error, std=sharp.left).rounded(plain, nodes[0]))
-    others = _systematic(curve.error, sharp, rows[0], blurred, amplitude, parameters)
-    unseen = np.zeros((2, len(amplitude)))
+    unsharpened = (1 - curve.error.excess) * edges_and_centres(low, high)
+    blurred = curve.row(unsharpened, replace(curve.error, std=sharp.left).rounded(unsharpened, nodes[0]))
+    displacement_changes = _systematic(curve.error, sharp, rows[0], blurred, amplitude, parameters)
+    offset_changes = np.zeros((2, len(amplitude)))
     if curve.band_limited:
-        known = conicity[0][np.isfinite(conicity[0])]
-        std = held_difference_std(curve.held_shares, float(known[-1])) if len(known) else 0.0
-        unseen[0] = _lost_to_filters(*rows[0], amplitude, parameters=parameters)
-        if std > 0.0:  # of a difference of diameters that nobody knows of
-            unseen[1] = moved_off(*rows[0], amplitude, std)
-    of_standard, difference = rows[0]
-    stretched = ((1 + curve.error.scale) * of_standard, difference)
-    conicities = np.concatenate([conicity, conicity[0] + others, conicity[0] + unseen])
-    return [*rows, (of_standard / (1 - curve.error.excess), difference), stretched], conicities
+        finite_conicities = conicity[0][np.isfinite(conicity[0])]
+        std = held_difference_std(curve.held_shares, float(finite_conicities[-1])) if len(finite_conicities) else 0.0
+        offset_changes[0] = _lost_to_filters(*rows[0], amplitude, parameters=parameters)
+        if std > 0.0:  # an unknown difference of diameters
+            offset_changes[1] = moved_off(*rows[0], amplitude, std)
+    standard_displacement, difference = rows[0]
+    stretched = ((1 + curve.error.scale) * standard_displacement, difference)
+    conicities = np.concatenate([conicity, conicity[0] + displacement_changes, conicity[0] + offset_changes])
+    return [*rows, (standard_displacement / (1 - curve.error.excess), difference), stretched], conicities
 
 
 def _lost_to_filters(
     x: FloatArray, curve: FloatArray, amplitude: FloatArray, parameters: CurveParameters
 ) -> FloatArray:
-    """Return what the high-pass changes of the conicity (a,) where left and right wheel are unlike."""
-    # the part of R that is alike on both sides of the centre grows and falls with the amplitude; what is slow of that
-    # is lost, and comes back as an error of R of some share of it
-    beside = np.linspace(0.0, min(-x[0], x[-1], parameters.even_reach), parameters.even_points)
-    alike = 0.5 * (np.interp(beside, x, curve) + np.interp(-beside, x, curve)) - np.interp(0.0, x, curve)
-    return np.asarray(parameters.even_share * np.mean(np.abs(alike)) / (2.0 * amplitude))
+    """Return by how much the high-pass changes the conicity (a,) where left and right wheel differ."""
+    # the even part of R varies with the amplitude of the motion; the high-pass takes the slow part of that, which makes
+    # an error of R of some share of it
+    distance = np.linspace(0.0, min(-x[0], x[-1], parameters.even_reach), parameters.even_points)  # from the centre
+    even_part = 0.5 * (np.interp(distance, x, curve) + np.interp(-distance, x, curve)) - np.interp(0.0, x, curve)
+    return np.asarray(parameters.even_share * np.mean(np.abs(even_part)) / (2.0 * amplitude))
 
 
 def _systematic(
@@ -202,9 +204,9 @@ def _systematic(
     amplitude: FloatArray,
     parameters: CurveParameters,
 ) -> FloatArray:
-    """Return what each systematic error of the displacement changes of the conicity: (4, a)."""
-    # As much as was taken back for the error stands for what remains unknown; half as much for the blur, or all that as
-    # much again changes where it is left. A stretch and contact jumps that are elsewhere change the conicity in steps.
+    """Return by how much each systematic error of the displacement changes the conicity: (4, a)."""
+    # The whole correction of the error stands for its uncertainty; ``blur_share`` of what sharpening changed stands for
+    # the blur, the whole change where ``sharp.left`` > 0. Stretched or displaced jumps change the conicity in steps.
     x, curve = row
     here = equivalent_conicity(x, curve, amplitude)
     middle = zero_crossing(x, curve)
@@ -246,12 +248,13 @@ def _conicity(values: FloatArray, groups: int, count: float, amplitude: float, p
     if np.isfinite(values[: groups + 1]).all() and np.isinf(values).any():
         text = f"the data leave the conicity at {1e3 * amplitude:g} mm open: the scale of y - d is not known"
         return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), count)
-    found = _estimate(values, groups, count, not_covered(amplitude))
-    if found.value is None or found.high is None or found.std is None:
-        return found
-    if found.std <= max(PRIORS.largest_conicity_std, parameters.largest_share * found.value):
-        return found
-    text = f"the data leave the conicity at {1e3 * amplitude:g} mm open by {found.high - found.value:.2f} either way"
+    estimate = _estimate(values, groups, count, not_covered(amplitude))
+    if estimate.value is None or estimate.high is None or estimate.std is None:
+        return estimate
+    if estimate.std <= max(PRIORS.largest_conicity_std, parameters.largest_share * estimate.value):
+        return estimate
+    either_way = estimate.high - estimate.value
+    text = f"the data leave the conicity at {1e3 * amplitude:g} mm open by {either_way:.2f} either way"
     return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), count)
 
 
@@ -262,6 +265,6 @@ def at_reference_amplitude(
     for a, value in sorted(zip(amplitude, conicity, strict=True), key=lambda pair: -pair[0]):
         if a <= parameters.reference_amplitude + 1e-9 and value.value is not None:
             return value, float(a)
-    given = (one.reason for one in conicity if one.reason is not None)
-    reason = next((one for one in given if one.code is ReasonCode.CONICITY_OPEN), NO_AMPLITUDE)
+    reasons = (estimate.reason for estimate in conicity if estimate.reason is not None)
+    reason = next((given for given in reasons if given.code is ReasonCode.CONICITY_OPEN), NO_AMPLITUDE)
     return Estimate.unknown(reason, conicity[0].count), parameters.reference_amplitude

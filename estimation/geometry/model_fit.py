@@ -299,8 +299,8 @@ def rolling_radius(parts: Sequence[RollingSums]) -> RollingRadius | None:
     """Return the radius on which a wheelset rolls; None where the data do not determine it."""
     if len(parts) < ROLLING.fewest_parts:
         return None
-    products = np.array([one.products for one in parts])
-    noise = np.array([one.noise for one in parts])
+    products = np.array([part.products for part in parts])
+    noise = np.array([part.noise for part in parts])
     try:
         return _solved(products, noise)
     except np.linalg.LinAlgError:
@@ -329,7 +329,7 @@ def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
     best = _solution(whole)
     if best[_RADIUS] <= 0.0 or _unexplained_share(whole, best) > ROLLING.most_unexplained_share:
         return None
-    replicates = np.array([best, *(_solution(whole - one) for one in sums)])
+    replicates = np.array([best, *(_solution(whole - group) for group in sums)])
     bound = math.sqrt(float(np.linalg.inv(information)[_RADIUS, _RADIUS]))
     corrected = best[_RADIUS] - _solution(_weighted(weights, total))[_RADIUS]
     sampling = float(normal_equivalent(jackknife_std(replicates), len(sums))[_RADIUS])
@@ -351,7 +351,7 @@ def _std_of_bands(weights: FloatArray, by_band: FloatArray) -> float:
     # What the bands have of sampling is in it too.
     of_bands = weights[:, None, None] * by_band
     whole = of_bands.sum(axis=0)
-    return float(jackknife_std(np.array([_solution(whole), *(_solution(whole - one) for one in of_bands)]))[_RADIUS])
+    return float(jackknife_std(np.array([_solution(whole), *(_solution(whole - band) for band in of_bands)]))[_RADIUS])
 
 
 def _unexplained_share(sums: FloatArray, unknowns: FloatArray) -> float:

@@ -107,7 +107,7 @@ def load_readings(unit: UnitOfWork, serials: Sequence[str], _: JobContext) -> Ma
         judged, against = new.get(serial, ()), mounted.get(serial, ())
         beside = [around[span] for span in spans.get(serial, ())]
         believed = serial not in doubted and all(
-            without_doubt([one for one in readings if mounting.covers(one.start_ns)], mounting, max_speed)
+            without_doubt([reading for reading in readings if mounting.covers(reading.start_ns)], mounting, max_speed)
             for readings in beside
             for mounting, max_speed in against
         )
@@ -268,7 +268,7 @@ def _estimated(inputs: TableInputs) -> Estimated | Reason:
         return assumed
     if position is not None and position.reason is not None and position.reason.code in TRIED_AGAIN:
         raise PassingFaultError(position.reason.text, code=position.reason.code)  # it is looked for again, too
-    correction, parameters = inputs.inputs.correction(inputs.record), assumed.windows
+    correction, parameters = inputs.inputs.correction(inputs.record), assumed.window_parameters
     kept = away_from_low_adhesion(window, inputs.inputs.low_adhesion, correction)
     if isinstance(kept, Reason):
         return kept

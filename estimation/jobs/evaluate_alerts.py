@@ -181,7 +181,6 @@ def compute(inputs: AlertInputs) -> Outcome[Evaluated]:
 def _transitions(
     facts: WheelsetFacts, found: Sequence[Finding], book: RuleBook, version: str, now_ns: int
 ) -> list[Transition]:
-    """Return what findings change on the open alerts of a wheelset."""
     still_open = {alert.kind: alert for alert in facts.open_alerts}
     changes = [
         transition(

@@ -67,12 +67,12 @@ def load_creep(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> Ma
     """Return the windows that are estimated and whose creep, of these samples, has not been looked at."""
     windows = [key_of_text(key) for key in keys]
     records, looked_at = unit.windows.several(windows), unit.adhesion.looked_at(windows)
-    having = unit.geometries.having({one.wheelset for one in records})
+    having = unit.geometries.having({record.wheelset for record in records})
     chosen = [
-        one
-        for one in records
-        if one.state is WindowState.ESTIMATED and one.wheelset in having and one.track_section is not None
-        if not one.samples_purged and looked_at.get(one.key) != one.content_digest
+        record
+        for record in records
+        if record.state is WindowState.ESTIMATED and record.wheelset in having and record.track_section is not None
+        if not record.samples_purged and looked_at.get(record.key) != record.content_digest
     ]
     found = creep_inputs(unit, chosen, context.settings.estimation) if chosen else {}
     return {text_of_key(*key): inputs for key, inputs in found.items()}
@@ -184,13 +184,14 @@ def _of_section(
 
 def _span(unit: UnitOfWork, section: str, to_ns: int, rule: LowAdhesionRule) -> Span:
     passes = tuple(unit.adhesion.of_section(section, to_ns - pooled_ns(rule), to_ns))
-    fleets = sorted({one.fleet for one in unit.registry.vehicles_of({one.vehicle for one in passes}).values()})
+    vehicles = unit.registry.vehicles_of({window_pass.vehicle for window_pass in passes})
+    fleets = sorted({vehicle.fleet for vehicle in vehicles.values()})
     return Span(passes, friction_parameters(rule, unit, passes), tuple(fleets))
 
 
 def find_friction(inputs: FrictionInputs) -> Outcome[SectionAdhesion]:
     """Return the friction of a section over each of some spans."""
-    found = (section_adhesion(inputs.section, one.passes, one.parameters, inputs.length_m) for one in inputs.spans)
+    found = (section_adhesion(inputs.section, span.passes, span.parameters, inputs.length_m) for span in inputs.spans)
     return Outcome([Part(one) for one in found], again_ns=None if inputs.older_ns is None else 0)
 
 
@@ -215,14 +216,14 @@ def _store_span(
     unit: UnitOfWork, context: JobContext, span: Span, found: SectionAdhesion, made_with: str
 ) -> Mapping[str, int]:
     section, rule = found.track_section, context.settings.rules.rule(LowAdhesionRule)
-    last, starts = unit.adhesion.section(section), [one.start_ns for one in span.passes]
+    last, starts = unit.adhesion.section(section), [window_pass.start_ns for window_pass in span.passes]
     before = certain_stretches(unit, section, starts)
     if not unit.adhesion.put_section(found, context.code_version, made_with):
         return {}
     after = certain_stretches(unit, section, starts)
-    again = [one for one in span.passes if touched(one, before[one.start_ns]) != touched(one, after[one.start_ns])]
+    again = [p for p in span.passes if touched(p, before[p.start_ns]) != touched(p, after[p.start_ns])]
     records = unit.windows.several([one.key for one in again]) if again else ()
-    standing = {one.key for one in records if not one.samples_purged and one.state is not WindowState.PENDING}
+    standing = {r.key for r in records if not r.samples_purged and r.state is not WindowState.PENDING}
     marks = [WindowMark(*one.key, WindowState.PENDING) for one in again if one.key in standing]
     unit.windows.mark_all(marks)
     if last is None or found.to_ns >= last.to_ns:

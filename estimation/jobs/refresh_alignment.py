@@ -203,7 +203,6 @@ def compute(inputs: FoldInputs) -> Outcome[Computed]:
 def _solve(
     inputs: FoldInputs, chosen: Sequence[Entry], known: Measured, alignment: TrackAlignment | None, *, checked: bool
 ) -> Solved:
-    """Return what some windows make of an alignment."""
     assert inputs.found.due is not None
     assert inputs.known is not None
     made = epoch_passes(inputs.context, chosen, inputs.known.on_file)

@@ -23,7 +23,7 @@ from estimation.jobs.parameters import JOBS
 from estimation.jobs.runner import run_all
 from estimation.jobs.settings import RailsSettings
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
-from estimation.jobs.steps.assumptions import last_change
+from estimation.jobs.steps.assumptions import last_break
 from estimation.jobs.steps.rail_cells import CELL_VERSION, WheelsetCells, wheelset_cells
 from estimation.rails.apart import exceeds, rails_apart, reported
 from estimation.rails.cell import Anchors, ReferenceWheel, conicity_on_rails, designed_wheel, with_refused
@@ -85,7 +85,7 @@ class AnchorInputs:
     @property
     def text(self) -> str:
         """All of it."""
-        of_sections = [(one.code, _rails_of(one), one.tonnage_mgt_per_year) for one in self.sections]
+        of_sections = [(section.code, _rails_of(section), section.tonnage_mgt_per_year) for section in self.sections]
         named = (sorted(self.known), sorted((code, why.code) for code, why in self.other.items()), self.missing)
         rest = (named, self.rails, self.profile, self.nominal_radius, self.measured)
         return f"{of_sections!r} {rest!r}"
@@ -98,21 +98,21 @@ def anchor_inputs(unit: UnitOfWork, cells: Sequence[StoredCell], context: JobCon
     be known: what a wheel is there does not follow for the reference rails.
     """
     windows: Counter[str] = Counter()
-    for one in cells:
-        windows[one.rail.section] += 0 if one.usable is None else one.usable.windows
-    on_file, codes = unit.tracks.sections(), {one.code for one in context.settings.rails.known_sections}
+    for cell in cells:
+        windows[cell.rail.section] += 0 if cell.usable is None else cell.usable.windows
+    on_file, codes = unit.tracks.sections(), {entry.code for entry in context.settings.rails.known_sections}
     sections = tuple(one for one in on_file if one.code in windows)
-    named = {one.code: _at_gauge(unit, one) for one in sections if one.code in codes}
-    rails = _most(named or {one.code: _rails_of(one) for one in sections}, windows)
+    named = {section.code: _at_gauge(unit, section) for section in sections if section.code in codes}
+    rails = _most(named or {section.code: _rails_of(section) for section in sections}, windows)
     alike = {code for code, own in named.items() if rails is not None and _alike(own, rails)}
-    keys = sorted({one.rail for one in cells if one.usable is not None and one.rail.section in alike})
+    keys = sorted({cell.rail for cell in cells if cell.usable is not None and cell.rail.section in alike})
     known = frozenset(key for key in keys if _is_of_time(key, context.settings.rails))
     newest = {key.section: key for key in keys}
     other = dict.fromkeys(sorted(named.keys() - alike), OTHER_RAILS)
     other |= {code: OTHER_TIME for code, key in newest.items() if key not in known}
-    serials = {one.wheel.wheelset for one in cells}
-    wheelsets = [one for one in unit.registry.wheelsets() if one.serial in serials]
-    profiles = Counter((one.wheel_profile, one.nominal_radius_m) for one in wheelsets)
+    serials = {cell.wheel.wheelset for cell in cells}
+    wheelsets = [wheelset for wheelset in unit.registry.wheelsets() if wheelset.serial in serials]
+    profiles = Counter((wheelset.wheel_profile, wheelset.nominal_radius_m) for wheelset in wheelsets)
     profile, radius = min(profiles, key=lambda one: (-profiles[one], one), default=("", 0.0))
     missing = tuple(sorted(codes - {one.code for one in on_file}))
     measured = _measured_wheels(unit, wheelsets, cells, context.settings.estimation.interval_km)
@@ -127,8 +127,8 @@ def anchors(inputs: AnchorInputs, amplitude: FloatArray) -> Anchors:
         return Anchors(ReferenceWheel(inputs.profile, nothing))
     rails = {section.code: _rails_of(section) for section in inputs.sections}
     of_rails = {
-        one: nothing if wheel is None else conicity_on_rails(wheel, one, amplitude)[0]
-        for one in {inputs.rails, *rails.values()}
+        rail: nothing if wheel is None else conicity_on_rails(wheel, rail, amplitude)[0]
+        for rail in {inputs.rails, *rails.values()}
     }
     on_file = {code: of_rails[one] for code, one in rails.items()}
     # the newest measurement of an interval counts
@@ -158,7 +158,7 @@ def _measured_wheels(
             measured = unit.registry.measured_profiles(wheelset.serial)
         except DamagedError:
             continue
-        change = last_change(unit, wheelset)
+        change = last_break(unit, wheelset)
         for one in measured:
             baseline, begin_km = baseline_at(wheelset, one.at_ns)
             key = WheelKey(wheelset.serial, baseline, int((one.mileage_km - begin_km) // interval_km))
@@ -180,7 +180,7 @@ def _profiles_digest(one: MeasuredProfiles) -> str:
 def _is_of_time(key: RailKey, settings: RailsSettings) -> bool:
     """Whether rails of a period are as on file: from that of the day for which this is known on, until they wear."""
     model = settings.model
-    days = (one.on_ns / DAY_NS for one in settings.known_sections if one.code == key.section)
+    days = (entry.on_ns / DAY_NS for entry in settings.known_sections if entry.code == key.section)
     return any(day // model.period_days <= key.period <= (day + model.known_days) // model.period_days for day in days)
 
 
@@ -256,13 +256,13 @@ def load_rails(unit: UnitOfWork, _: Sequence[str], context: JobContext) -> Mappi
     """Return what parting wheels and rails is made from."""
     parameters, cells = context.settings.rails.model, unit.rails.cells()
     on_file = anchor_inputs(unit, cells, context)
-    stand_for = [(one.wheel, one.rail, one.digest, one.reason and str(one.reason.code)) for one in cells]
+    stand_for = [(cell.wheel, cell.rail, cell.digest, cell.reason and str(cell.reason.code)) for cell in cells]
     text = f"{stand_for!r} {on_file.text} {parameters!r}"
-    usable = next((one.usable for one in cells if one.usable is not None), None)
+    usable = next((cell.usable for cell in cells if cell.usable is not None), None)
     curve = context.settings.estimation.geometry.curve
     inputs = RailsInputs(
         digest=hashlib.sha256(text.encode()).hexdigest(),
-        damaged=tuple(sorted({one.wheel.wheelset for one in cells if one.damaged})),
+        damaged=tuple(sorted({cell.wheel.wheelset for cell in cells if cell.damaged})),
         cells=tuple(cells),
         on_file=on_file,
         amplitude=np.array(curve.amplitudes) if usable is None else usable.amplitude,
@@ -273,11 +273,11 @@ def load_rails(unit: UnitOfWork, _: Sequence[str], context: JobContext) -> Mappi
 
 def part_rails(inputs: RailsInputs) -> Outcome[RailsFindings]:
     """Return what belongs to rails, and what belongs to wheels."""
-    usable = [one.usable for one in inputs.cells if one.usable is not None]
+    usable = [cell.usable for cell in inputs.cells if cell.usable is not None]
     held = anchors(inputs.on_file, inputs.amplitude)
     apart = rails_apart(usable, inputs.amplitude, held, inputs.parameters)
     apart = with_refused(apart, inputs.cells)
-    newest = {one.wheel.wheelset: one for one in apart.wheels}  # in the order of their keys
+    newest = {wheel.wheel.wheelset: wheel for wheel in apart.wheels}  # in the order of their keys
     amplitude, refused_wheels = tuple(apart.amplitude.tolist()), apart.refused_wheels
     findings = RailsFindings(
         sections=_sections(apart, held.wheel.profile, inputs.parameters),
@@ -291,8 +291,8 @@ def part_rails(inputs: RailsInputs) -> Outcome[RailsFindings]:
 def _sections(apart: RailsApart, profile: str, parameters: RailsParameters) -> Mapping[str, RailsFinding]:
     """Return what is found of every section, its periods oldest first."""
     periods: defaultdict[str, list[RailPart]] = defaultdict(list)
-    for one in apart.rails:
-        periods[one.rail.section].append(one)
+    for rail in apart.rails:
+        periods[rail.rail.section].append(rail)
     findings = {}
     for section, parts in sorted(periods.items()):
         newest = reported(parts[-1].excess, apart.amplitude, parameters.limit_amplitude)

@@ -17,7 +17,7 @@ from estimation.jobs.job import Job, JobContext
 from estimation.jobs.parameters import JOBS
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
-from estimation.jobs.steps.assumptions import ClassLookup, identity_change, suspected
+from estimation.jobs.steps.assumptions import ClassLookup, identity_change, with_identity_alerts
 from estimation.jobs.steps.signature_entries import Entries, EntryReader
 from estimation.jobs.steps.signature_windows import ASSUMED, JOB_NAME, OF_WINDOWS, usable
 from estimation.jobs.work import fails_alone
@@ -112,7 +112,7 @@ def store_answers(
     return {
         "retired": library.shelf.retired,
         "estimated": sum(one.answer.conicity.value is not None for one in found),
-        "disagreeing": sum(one is not None and one.disagrees for one in disagreements),
+        "disagreeing": sum(disagreement is not None and disagreement.disagrees for disagreement in disagreements),
     }
 
 
@@ -162,7 +162,6 @@ def _shelved(made: Entries, without: Mapping[ReasonCode, int], parameters: Signa
 
 
 def _line(entry: LibraryEntry) -> str:
-    """Return all of an entry."""
     one = entry.signature
     spectra = hashlib.sha256(one.spectra.tobytes()).hexdigest()
     about = (one.wheelset, one.start_ns, one.order, one.vehicle_class, one.position, one.place, one.speed)
@@ -180,7 +179,7 @@ def _subjects(
     of_wheelset: dict[str, list[KnownSignatures]] = {serial: [] for serial in answered}
     for one in known:
         of_wheelset.setdefault(one.found.wheelset, []).append(one)
-    found, doubted = {}, suspected(reader.unit)
+    found, doubted = {}, with_identity_alerts(reader.unit)
     for serial, mine in sorted(of_wheelset.items()):
         last = reader.lives(serial)[-1]
         change = identity_change(reader.unit, serial) if serial in doubted else None
@@ -237,9 +236,8 @@ class Library:
 
 
 def _finding(library: Library, subject: _Subject, geometry: Estimate | None) -> SignatureFinding:
-    """Return the answer about a wheelset."""
     shelf, answer = library.shelf, SignatureAnswer(subject.wheelset, Estimate.unknown(NO_SIGNATURE))
-    signatures = tuple(one for one in subject.signatures if _of_present_track(one, shelf))
+    signatures = tuple(signature for signature in subject.signatures if _of_present_track(signature, shelf))
     left_out = Counter(shelf.left_out)
     if signatures and subject.kind is not None:
         judges = Subject(subject.wheelset, *subject.kind, subject.pair, subject.shares_data)
@@ -253,8 +251,8 @@ def _finding(library: Library, subject: _Subject, geometry: Estimate | None) -> 
         answer=answer,
         baseline=subject.baseline,
         signatures=len(signatures),
-        from_ns=min((one.start_ns for one in signatures), default=None),
-        to_ns=max((one.start_ns for one in signatures), default=None),
+        from_ns=min((signature.start_ns for signature in signatures), default=None),
+        to_ns=max((signature.start_ns for signature in signatures), default=None),
         left_out={code.value: count for code, count in sorted(left_out.items())},
         geometry=geometry,
         disagreement=None if geometry is None else compared(answer.conicity, geometry),

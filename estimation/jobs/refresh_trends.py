@@ -47,7 +47,7 @@ def load(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mappi
         rules = None if vehicle is None else context.settings.rules.of(wheelset.fleet, vehicle.vehicle_class)
         inputs[serial] = TrendInputs(
             baseline=baseline,
-            conicities=tuple(one for one in conicities if one.windows),  # others were followed by empty ones
+            conicities=tuple(entry for entry in conicities if entry.windows),  # others were followed by empty ones
             limit=None if rules is None or vehicle is None else rules.rule(ConicityLimitRule).limit_for(vehicle),
             parameters=context.settings.trend,
         )

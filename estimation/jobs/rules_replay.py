@@ -60,23 +60,23 @@ class History:
 
 def history_of(unit: UnitOfWork, serial: str) -> History:
     """Return what is stored of a wheelset."""
-    mountings = sorted(unit.registry.mountings(serial), key=lambda one: one.from_ns)
+    mountings = sorted(unit.registry.mountings(serial), key=lambda mounting: mounting.from_ns)
     windows = sorted(unit.windows.list(serial), key=lambda one: one.start_ns)
     stored = (record for record in unit.geometries.intervals(serial) if record.geometry.windows)
     intervals = sorted(stored, key=lambda one: (one.to_ns, one.baseline))
     return History(
         wheelset=unit.registry.wheelset(serial),
         mountings=mountings,
-        vehicles={one.vehicle: unit.registry.vehicle(one.vehicle) for one in mountings},
+        vehicles={mounting.vehicle: unit.registry.vehicle(mounting.vehicle) for mounting in mountings},
         windows=windows,
         intervals=intervals,
         current=unit.geometries.current(serial),
         change=identity_change(unit, serial),
         raised=unit.alerts.of_wheelset(serial),
-        window_ends=[one.start_ns + one.length_ns for one in windows],
-        interval_ends=[one.to_ns for one in intervals],
-        conicities=[interval_conicities(one) for one in intervals],
-        hunted={one.vehicle: hunted_beside(unit, one.vehicle, windows) for one in mountings},
+        window_ends=[window.start_ns + window.length_ns for window in windows],
+        interval_ends=[interval.to_ns for interval in intervals],
+        conicities=[interval_conicities(interval) for interval in intervals],
+        hunted={mounting.vehicle: hunted_beside(unit, mounting.vehicle, windows) for mounting in mountings},
     )
 
 
@@ -120,7 +120,6 @@ def _evaluate(
 
 
 def _follow(change: Transition | None, key: str, standing: dict[str, Alert], closed: list[Alert]) -> None:
-    """Keep what becomes of the alert that stands under a key."""
     if change is None:
         return
     if change.alert.closed_ns is None:
@@ -135,7 +134,7 @@ def _then(history: History, at_ns: int) -> tuple[WheelsetRecord, VehicleRecord |
     """Return the wheelset and its vehicle as the records had them at a time."""
     mounted = [one for one in history.mountings if one.covers(at_ns)]
     mounting = replace(mounted[-1], to_ns=None) if mounted else None
-    done = tuple(one for one in history.wheelset.reprofilings if one.at_ns <= at_ns)
+    done = tuple(reprofiling for reprofiling in history.wheelset.reprofilings if reprofiling.at_ns <= at_ns)
     wheelset = replace(history.wheelset, mounting=mounting, reprofilings=done)
     return wheelset, None if mounting is None else history.vehicles[mounting.vehicle]
 
@@ -177,7 +176,7 @@ def _facts(
         windows=windows,
         mileage=newest_mileage(windows),
         intervals=[one for one in own if one.to_ns > mounting.from_ns],
-        conicities=[one for one in conicities if one.to_ns > mounting.from_ns],
+        conicities=[conicity for conicity in conicities if conicity.to_ns > mounting.from_ns],
         open_alerts=[one for one in history.raised if one.kind == IDENTITY and _open_at(one, at_ns)],
         hunted=history.hunted.get(mounting.vehicle, frozenset()),
     )
@@ -191,7 +190,7 @@ def _windows(history: History, since_ns: int, at_ns: int, book: RuleBook) -> Seq
     wanted, far_km = windows_wanted(book)
     last = bisect_right(history.window_ends, at_ns)
     first = 0 if far_km > 0.0 else max(0, last - wanted)
-    found = [one for one in history.windows[first:last] if one.start_ns >= since_ns]
+    found = [window for window in history.windows[first:last] if window.start_ns >= since_ns]
     mileages = [None if one.implausible else one.mileage_km for one in found]
     return found[-within_reach(mileages, wanted, far_km) :] if found else ()
 
@@ -202,8 +201,8 @@ def _instants(history: History, book: RuleBook, span: tuple[int, int]) -> list[i
     times = {*last_of_day.values(), *history.interval_ends, *_silences(history, book, span[1])}
     if history.current is not None:
         times.add(history.current.to_ns)
-    times |= {one.at_ns for one in history.wheelset.reprofilings}
-    times |= {one.from_ns for one in history.mountings} | {one.to_ns for one in history.mountings if one.to_ns}
+    times |= {reprofiling.at_ns for reprofiling in history.wheelset.reprofilings}
+    times |= {m.from_ns for m in history.mountings} | {m.to_ns for m in history.mountings if m.to_ns}
     ordered = sorted(time for time in times if time <= span[1])
     return [*ordered[max(0, bisect_right(ordered, span[0] - 1) - 1) :], span[1]]
 
@@ -292,7 +291,7 @@ def section_replayed(unit: UnitOfWork, section: str, book: RuleBook, span: tuple
         passes = unit.adhesion.of_section(section, to_ns - pooled, to_ns)
         found = section_adhesion(section, passes, friction_parameters(rule, unit, passes), length)
         if found is not None:
-            fleets = {unit.registry.vehicle(code).fleet for code in {one.vehicle for one in passes}}
+            fleets = {unit.registry.vehicle(code).fleet for code in {window_pass.vehicle for window_pass in passes}}
             _evaluate_section(found, book, sorted({*fleets, *standing}), standing, closed)
     published = [one for one in (*closed, *standing.values()) if one.condition is not Condition.PENDING]
     return sorted(published, key=lambda one: (one.opened_ns, one.fleet))

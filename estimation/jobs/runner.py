@@ -94,14 +94,12 @@ def _not_at_rest(
 
 
 def _count_due(stage: AnyStage, due: Mapping[str, Due], counts: Counter[str]) -> None:
-    """Count what is due as not at rest."""
     if stage.counted.same is not None:
         marked = sum(one.marked for one in due.values())
         counts.subtract({stage.counted.looked: marked, stage.counted.same: marked})
 
 
 def _try_again(stage: AnyStage, context: JobContext, ready: Collection[str], isolation: Isolation) -> None:
-    """Prepare subjects that failed before."""
     if stage.again is not None and (failed := [item for item in isolation.held(stage.kind) if item.key in set(ready)]):
         with context.storage.write() as unit:
             stage.again(unit, failed)

@@ -45,7 +45,6 @@ def made_from(*inputs: object) -> str:
 
 @cache
 def _writer(of: type[Any]) -> Callable[[Any, Add], None]:
-    """Return what writes the values of a type."""
     if issubclass(of, np.ndarray):
         return _write_array
     if is_dataclass(of):

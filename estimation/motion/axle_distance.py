@@ -99,11 +99,11 @@ def check_axle_distance(window: Window, partner: Window, ahead: float) -> Reason
         ahead: By how much the node of ``window`` is ahead of the other in the direction of travel, m, by the registry;
             negative at the axle behind.
     """
-    found = axle_distance(window, partner, ahead)
-    if found is None or not found.contradicted:
+    distance = axle_distance(window, partner, ahead)
+    if distance is None or not distance.contradicted:
         return None
-    at = -ahead if found.leads is False else found.ahead
-    correlation = found.exchanged if found.leads is False else found.correlation
+    at = -ahead if distance.leads is False else distance.ahead
+    correlation = distance.exchanged if distance.leads is False else distance.correlation
     return Reason(
         ReasonCode.AXLE_DISTANCE,
         f"the track reaches the other axle of the bogie {at:+.1f} m later, by the registry {ahead:+.1f} m"

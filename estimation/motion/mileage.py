@@ -49,7 +49,7 @@ def without_doubt(readings: Sequence[MileageReading], mounting: Mounting, max_sp
     # Where that holds of all readings of a mounting it also holds of any of them. So it holds of all and new ones as
     # soon as it holds of the new ones with those beside them.
     km_per_ns = MOTION.speed_slack_factor * max_speed_m_s / 1000.0 / SECOND_NS
-    ordered = sorted(readings, key=lambda one: one.start_ns)
+    ordered = sorted(readings, key=lambda reading: reading.start_ns)
     return all(_follows(*pair, km_per_ns) for pair in pairwise(ordered)) and all(
         _alone(one, mounting, km_per_ns) is None for one in ordered
     )
@@ -58,11 +58,11 @@ def without_doubt(readings: Sequence[MileageReading], mounting: Mounting, max_sp
 def implausible_places(readings: Sequence[MileageReading]) -> Mapping[int, Reason]:
     """Return by start of window why the place that its vehicle reported is not believed."""
     return {
-        one.start_ns: Reason(
-            ReasonCode.PLACE_IMPLAUSIBLE, f"by GNSS {one.off_line_m:,.0f} m from the line of the section reported"
+        reading.start_ns: Reason(
+            ReasonCode.PLACE_IMPLAUSIBLE, f"by GNSS {reading.off_line_m:,.0f} m from the line of the section reported"
         )
-        for one in readings
-        if one.off_line_m > 0.0
+        for reading in readings
+        if reading.off_line_m > 0.0
     }
 
 
@@ -120,7 +120,7 @@ def _longest_chain(readings: Sequence[MileageReading], km_per_ns: float) -> list
     # A follows B where neither the mileage nor what was not run of the possible distance falls: in the order of the
     # one, that is a longest non-decreasing run of the other
     origin = readings[0].start_ns
-    not_run = [km_per_ns * (one.start_ns - origin) - one.mileage_km for one in readings]
+    not_run = [km_per_ns * (reading.start_ns - origin) - reading.mileage_km for reading in readings]
     order = sorted(range(len(readings)), key=lambda i: (readings[i].mileage_km, not_run[i]))
     least: list[float] = []  # not_run of the last of the best chain of each length
     last: list[int] = []

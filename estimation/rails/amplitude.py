@@ -36,46 +36,46 @@ def checks(component: Component, wheel: ReferenceWheel, parameters: RailsParamet
 
     None are said to differ at an amplitude at which nothing is published.
     """
-    known = np.isfinite(component.two_way.known_value)
-    if not known.any():
+    measured = np.isfinite(component.two_way.known_value)
+    if not measured.any():
         return {}
-    nothing = np.full(len(known), np.nan)
+    nothing = np.full(len(measured), np.nan)
     alone = part(replace(component.two_way, known_value=nothing), parameters)
     held = with_known(component.two_way, parameters, alone)
     usable = held.converged and refusal(component, alone, wheel, parameters) is None
     serial, shared = component.table.serial[component.wheel], component.shared
-    found = {}
-    for one in np.unique(serial[known]).tolist():
-        own = np.flatnonzero(known & (serial == one))
-        checked = _check(component, held, own, shared, parameters) if held.converged else NOTHING
-        found[component.table.serials[one]] = checked if usable else replace(checked, apart=0.0)
-    return found
+    by_serial = {}
+    for number in np.unique(serial[measured]).tolist():
+        wheels = np.flatnonzero(measured & (serial == number))
+        checked = _check(component, held, wheels, shared, parameters) if held.converged else NOTHING
+        by_serial[component.table.serials[number]] = checked if usable else replace(checked, apart=0.0)
+    return by_serial
 
 
-def _check(component: Component, held: Parted, own: IntArray, shared: float, parameters: RailsParameters) -> Check:
-    left, covariance = _left_out(component, held, own)
+def _check(component: Component, held: Parted, wheels: IntArray, shared: float, parameters: RailsParameters) -> Check:
+    left, covariance = _left_out(component, held, wheels)
     variance = np.diag(covariance)
     if not ((variance > 0.0) & (variance < parameters.largest_conicity_variance)).all():
         return NOTHING
     value = component.two_way.known_value
     others = np.isfinite(value)
-    others[own] = False
+    others[wheels] = False
     level = 0.0 if component.two_way.known_rail.any() or not others.any() else float(value[others].mean())
-    sampled = np.sqrt(1.0 / held.known_weight[own] + variance)
-    systematic = shared * np.abs(value[own] - level)
+    sampled = np.sqrt(1.0 / held.known_weight[wheels] + variance)
+    systematic = shared * np.abs(value[wheels] - level)
     groups = 1 + max(1, int(held.freedom))
-    intervals = [with_interval(*one, groups) for one in zip(left.tolist(), sampled, systematic, strict=True)]
-    half = np.array([(one.high or 0.0) - (one.value or 0.0) for one in intervals])
+    intervals = [with_interval(*row, groups) for row in zip(left.tolist(), sampled, systematic, strict=True)]
+    half = np.array([(interval.high or 0.0) - (interval.value or 0.0) for interval in intervals])
     worst = int(np.argmax(np.abs(left) / half))
     return Check(float(left[worst]), float(half[worst]), float(np.sqrt(variance.max())))
 
 
-def _left_out(component: Component, held: Parted, own: IntArray) -> tuple[FloatArray, FloatArray]:
+def _left_out(component: Component, held: Parted, wheels: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return by how much measured wheels (m,) are above what the others say, and the covariance (m, m) of that."""
-    shared, weight = held.shared[own], np.diag(held.known_weight[own])
-    with_own = np.diag(1.0 / held.own[own]) + shared @ (shared @ held.covariance).T
-    apart = np.eye(len(own)) - with_own @ weight
-    residual = component.two_way.known_value[own] - held.wheel[own]
+    shared, weight = held.shared[wheels], np.diag(held.known_weight[wheels])
+    with_own = np.diag(1.0 / held.own[wheels]) + shared @ (shared @ held.covariance).T
+    apart = np.eye(len(wheels)) - with_own @ weight
+    residual = component.two_way.known_value[wheels] - held.wheel[wheels]
     try:
         return np.linalg.solve(apart, residual), np.linalg.solve(apart, with_own)
     except np.linalg.LinAlgError:  # they alone hold their level
@@ -98,8 +98,8 @@ def uneven(component: Component, parameters: RailsParameters) -> list[int]:
         return []
     rise = np.log1p(alone.slope)
     alike = np.abs(rise[:, None] - rise[None, :]) <= np.log1p(parameters.uneven_slope)
-    found: list[int] = component.rail[(alike.mean(axis=1) <= parameters.uneven_share) & ~two_way.known_rail].tolist()
-    return found
+    rails: list[int] = component.rail[(alike.mean(axis=1) <= parameters.uneven_share) & ~two_way.known_rail].tolist()
+    return rails
 
 
 def _spread_std(component: Component, alone: Parted, parameters: RailsParameters) -> float:
@@ -131,25 +131,25 @@ def at_amplitude(table: CellTable, k: int, anchors: Anchors, parameters: RailsPa
     level = level.widened(confirmed)
     groups, unconnected = connected(level.runs, parameters.least_wheelsets)
     refused, covered = unconnected | dict.fromkeys(left_out, UNEVEN), table.given(k)
-    found = AtAmplitude()
+    published = AtAmplitude()
     for place, key in enumerate(table.rails):
-        found.rails[key] = RailAt.unknown(refused.get(place, NOT_COVERED))
+        published.rails[key] = RailAt.unknown(refused.get(place, NOT_COVERED))
     for row in (~covered).nonzero()[0].tolist() + covered.nonzero()[0].tolist():  # what is known there comes last
         why = refused.get(int(table.rail[row]), NOT_COVERED) if covered[row] else NOT_COVERED
-        found.wheels[table.wheels[table.wheel[row]]] = WheelAt(None, Estimate.unknown(why))
+        published.wheels[table.wheels[table.wheel[row]]] = WheelAt(None, Estimate.unknown(why))
     most = 0
-    for one in level.components(groups):
-        answer = parted(one, level.anchors.wheel, parameters)
-        found.rails.update(answer.rails)
-        found.wheels.update(answer.wheels)
+    for group in level.components(groups):
+        answer = parted(group, level.anchors.wheel, parameters)
+        published.rails.update(answer.rails)
+        published.wheels.update(answer.wheels)
         for section, trend in answer.trends.items():
-            if section not in found.trends or found.trends[section].periods < trend.periods:
-                found.trends[section] = trend
-        if len(one.cells) > most:
-            most, found.interaction = len(one.cells), answer.interaction
+            if section not in published.trends or published.trends[section].periods < trend.periods:
+                published.trends[section] = trend
+        if len(group.cells) > most:
+            most, published.interaction = len(group.cells), answer.interaction
     for place, why in sorted(refused.items()):
-        found.trends.setdefault(table.rails[place].section, TrendAt(Estimate.unknown(why)))
-    return found
+        published.trends.setdefault(table.rails[place].section, TrendAt(Estimate.unknown(why)))
+    return published
 
 
 def wheel_checks(table: CellTable, k: int, anchors: Anchors, parameters: RailsParameters) -> dict[str, Check]:
@@ -169,9 +169,10 @@ class _Level:
     def of(table: CellTable, k: int, anchors: Anchors) -> _Level:
         value, std = np.full((2, len(table.wheels)), np.nan)
         places = {key: place for place, key in enumerate(table.wheels)} if anchors.known_wheels else {}
-        for one in anchors.known_wheels:
-            if one.wheel in places and np.isfinite([one.conicity[k], one.std[k]]).all():
-                value[places[one.wheel]], std[places[one.wheel]] = one.conicity[k], one.std[k]
+        for measured in anchors.known_wheels:
+            if measured.wheel in places and np.isfinite([measured.conicity[k], measured.std[k]]).all():
+                place = places[measured.wheel]
+                value[place], std[place] = measured.conicity[k], measured.std[k]
         return _Level(table, k, anchors, table.given(k), (value, std))
 
     @property
@@ -187,52 +188,53 @@ class _Level:
     def components(self, group: IntArray) -> Iterator[Component]:
         """Return the cells of each group of rails (s,)."""
         cells = self.cells
-        own = group[self.table.rail[cells]]
-        order = np.argsort(own, kind="stable")
-        bounds = np.flatnonzero(np.diff(own[order])) + 1
-        for some in np.split(cells[order], bounds):
-            if len(some) and group[self.table.rail[some[0]]] >= 0:
+        group_of_cell = group[self.table.rail[cells]]
+        order = np.argsort(group_of_cell, kind="stable")
+        bounds = np.flatnonzero(np.diff(group_of_cell[order])) + 1
+        for cells_of_group in np.split(cells[order], bounds):
+            if len(cells_of_group) and group[self.table.rail[cells_of_group[0]]] >= 0:
                 known_rails, level_open = self.anchors.known_rails, self.anchors.level_open
-                yield component(self.table, some, self.k, self.known, known_rails, level_open)
+                yield component(self.table, cells_of_group, self.k, self.known, known_rails, level_open)
 
     def even(self, parameters: RailsParameters) -> tuple[_Level, list[int]]:
         """Return the level without the cells of uneven rails, and the numbers of these."""
-        level, found = self, list[int]()
+        level, uneven_rails = self, list[int]()
         while self.anchors.known_rails or np.isfinite(self.known[0]).any():
             apart = replace(level.runs, known_wheel=np.zeros(len(level.table.wheels), np.bool_))
-            some = [place for one in level.components(islands(apart)) for place in uneven(one, parameters)]
-            if not some:
+            more = [rail for island in level.components(islands(apart)) for rail in uneven(island, parameters)]
+            if not more:
                 break
-            found += some
-            level = replace(level, given=level.given & ~np.isin(level.table.rail, found))
-        return level, found
+            uneven_rails += more
+            level = replace(level, given=level.given & ~np.isin(level.table.rail, uneven_rails))
+        return level, uneven_rails
 
     def checks(self, parameters: RailsParameters) -> dict[str, Check]:
-        found: dict[str, Check] = {}
+        by_serial: dict[str, Check] = {}
         if np.isfinite(self.known[0]).any():
             apart = replace(self.runs, known_wheel=np.zeros(len(self.table.wheels), np.bool_))
-            for one in self.components(islands(apart)):
-                found |= checks(one, self.anchors.wheel, parameters)
-        return found
+            for island in self.components(islands(apart)):
+                by_serial |= checks(island, self.anchors.wheel, parameters)
+        return by_serial
 
     def confirmed(self, parameters: RailsParameters) -> tuple[_Level, dict[str, Check]]:
         """Return the level without measured wheelsets of which the others say too little, and what of those left."""
         level = self
         while True:
-            found = level.checks(parameters)
-            few = {name for name, one in found.items() if one.std > parameters.confirmed_within}
-            if not few:
-                return level, found
-            level = level.without(few)
+            by_serial = level.checks(parameters)
+            unconfirmed = {name for name, check in by_serial.items() if check.std > parameters.confirmed_within}
+            if not unconfirmed:
+                return level, by_serial
+            level = level.without(unconfirmed)
 
-    def widened(self, found: Mapping[str, Check]) -> _Level:
+    def widened(self, checked: Mapping[str, Check]) -> _Level:
         """Return the level with errors of measured wheelsets that are no smaller than what the others leave open."""
-        of_others = np.array([found[key.wheelset].std if key.wheelset in found else 0.0 for key in self.table.wheels])
+        stds = {serial: check.std for serial, check in checked.items()}
+        of_others = np.array([stds.get(key.wheelset, 0.0) for key in self.table.wheels])
         return replace(self, known=(self.known[0], np.hypot(self.known[1], of_others)))
 
     def without(self, serials: set[str]) -> _Level:
-        """Return the level that some measured wheelsets hold no more."""
-        own = np.array([key.wheelset in serials for key in self.table.wheels])
-        value, std = (np.where(own, np.nan, one) for one in self.known)
+        """Return the level without what some measured wheelsets hold of it."""
+        unconfirmed = np.array([key.wheelset in serials for key in self.table.wheels])
+        value, std = (np.where(unconfirmed, np.nan, values) for values in self.known)
         why = dict.fromkeys(serials, Reason(ReasonCode.RAILS_LEVEL_OPEN, UNCONFIRMED))
         return replace(self, anchors=self.anchors.without({}, why), known=(value, std))

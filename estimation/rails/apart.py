@@ -88,7 +88,7 @@ def _section_apart(section: str, table: CellTable, anchors: Anchors, parameters:
 def _connected(worst: _Witness, witnesses: Sequence[_Witness], table: CellTable, anchors: Anchors) -> list[_Witness]:
     nothing = np.zeros(len(table.rails), np.bool_)
     labels = islands(Runs(table.wheel, table.rail, table.serial, nothing, np.zeros(len(table.wheels), np.bool_)))
-    measured = {one.wheel for one in anchors.known_wheels}
+    measured = {known_wheel.wheel for known_wheel in anchors.known_wheels}
 
     def of(one: _Witness) -> set[int]:
         if not one.is_wheelset:
@@ -96,7 +96,7 @@ def _connected(worst: _Witness, witnesses: Sequence[_Witness], table: CellTable,
         own = [at for at, key in enumerate(table.wheels) if key.wheelset == one.name and key in measured]
         return set(labels[table.rail[np.isin(table.wheel, own)]].tolist())
 
-    return [one for one in witnesses if of(one) & of(worst)]
+    return [witness for witness in witnesses if of(witness) & of(worst)]
 
 
 def _reasons(

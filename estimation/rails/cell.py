@@ -75,8 +75,8 @@ Cell = TypeVar("Cell")
 def with_refused(found: RailsApart, cells: Sequence[StoredCell]) -> RailsApart:
     """Return what was found, with the wheels and rails whose cells are all refused, in the order of their keys."""
     known = {one.rail for one in found.rails}, {one.wheel for one in found.wheels}
-    of_rails = grouped((one.rail, one) for one in cells if one.rail not in known[0])
-    of_wheels = grouped((one.wheel, one) for one in cells if one.wheel not in known[1])
+    of_rails = grouped((cell.rail, cell) for cell in cells if cell.rail not in known[0])
+    of_wheels = grouped((cell.wheel, cell) for cell in cells if cell.wheel not in known[1])
     rails, wheels = [*found.rails], [*found.wheels]
     for rail, own in of_rails.items():
         nothing = _nothing(own, len(found.amplitude))
@@ -124,8 +124,8 @@ def _nothing(own: Sequence[StoredCell], amplitudes: int) -> tuple[Estimate, ...]
 
 def _reason(own: Sequence[StoredCell]) -> Reason:
     reasons = [one.reason for one in own if one.reason is not None]
-    count = Counter(one.code for one in reasons)
-    return max(reasons, key=lambda one: count[one.code])
+    count = Counter(reason.code for reason in reasons)
+    return max(reasons, key=lambda reason: count[reason.code])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,7 +223,7 @@ class Anchors:
         return replace(
             self,
             known_rails=frozenset(key for key in self.known_rails if key.section not in sections),
-            known_wheels=tuple(one for one in self.known_wheels if one.wheel.wheelset not in wheelsets),
+            known_wheels=tuple(item for item in self.known_wheels if item.wheel.wheelset not in wheelsets),
             refused={**self.refused, **sections},
             refused_wheels={**self.refused_wheels, **wheelsets},
         )

@@ -106,19 +106,19 @@ def with_known(cells: TwoWay, parameters: RailsParameters, without: Parted) -> P
     return _Solved(problem, problem.moved(point, linear, limited=False), linear, converged=without.converged).parted()
 
 
-def _widened(cells: TwoWay, parameters: RailsParameters, found: Parted) -> Parted:
+def _widened(cells: TwoWay, parameters: RailsParameters, solution: Parted) -> Parted:
     known = np.isfinite(cells.known_value)
-    if not found.converged or not known.any():
-        return found
-    weight = found.known_weight[known]
-    squares = float(np.sum(weight * (cells.known_value - found.wheel)[known] ** 2))
-    freedom = float(np.sum(1.0 - weight * found.wheel_variance[known]))
+    if not solution.converged or not known.any():
+        return solution
+    weight = solution.known_weight[known]
+    squares = float(np.sum(weight * (cells.known_value - solution.wheel)[known] ** 2))
+    freedom = float(np.sum(1.0 - weight * solution.wheel_variance[known]))
     factor = squares / freedom if freedom > parameters.least_freedom else 1.0
     if factor <= 1.0:
-        return found
-    tau = found.interaction
+        return solution
+    tau = solution.interaction
     wider = replace(cells, known_variance=(cells.known_variance + tau**2) * factor - tau**2)
-    return replace(_solved(wider, parameters, tau, None).parted(), freedom=found.freedom)
+    return replace(_solved(wider, parameters, tau, None).parted(), freedom=solution.freedom)
 
 
 @dataclass(frozen=True, slots=True)

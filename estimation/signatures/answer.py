@@ -31,7 +31,7 @@ def judged(
     wheelset: str, signatures: Sequence[Signature], library: Library, parameters: SignatureParameters
 ) -> SignatureAnswer:
     """Return what a library says of a wheelset."""
-    same = [one for one in signatures if one.place in library.places]
+    same = [signature for signature in signatures if signature.place in library.places]
     chosen = same or list(signatures)
     basis = Basis.SAME_PLACES if same else Basis.OTHER_PLACES
     calibration = library.calibration[basis]
@@ -47,14 +47,14 @@ def judged(
 def _refusal(signatures: Sequence[Signature], library: Library, parameters: SignatureParameters) -> Reason | None:
     if not signatures:
         return Reason(ReasonCode.NO_SIGNATURE, "there is no signature of the wheelset")
-    kinds = {(one.vehicle_class, one.position) for one in signatures}
+    kinds = {(signature.vehicle_class, signature.position) for signature in signatures}
     if kinds != {(library.vehicle_class, library.position)}:
         return Reason(
             ReasonCode.OTHER_VEHICLE_CLASS,
             f"the library is of class {library.vehicle_class}, axle position {library.position}",
         )
     low, high = library.speed[0] - parameters.speed_margin, library.speed[1] + parameters.speed_margin
-    speed = float(np.mean([one.speed for one in signatures]))
+    speed = float(np.mean([signature.speed for signature in signatures]))
     if not low <= speed <= high:
         text = f"the wheelset ran at {speed:.1f} m/s, the library covers {low:.1f} to {high:.1f} m/s"
         return Reason(ReasonCode.NOT_IN_LIBRARY, text)
@@ -138,14 +138,15 @@ def compared(answer: Estimate, geometry: Estimate) -> Disagreement | None:
 def _rows(signatures: Sequence[Signature]) -> Rows:
     n = len(signatures)
     places = {one.place or Place("", -number): number for number, one in enumerate(signatures)}
-    sections = sorted({"" if one.place is None else one.place.section for one in signatures})
+    codes = ["" if signature.place is None else signature.place.section for signature in signatures]
+    sections = sorted(set(codes))
     return Rows(
-        powers=np.stack([one.powers for one in signatures]),
+        powers=np.stack([signature.powers for signature in signatures]),
         conicity=np.full(n, np.nan),
         on_file=np.full(n, np.nan),
-        speed=np.array([one.speed for one in signatures]),
+        speed=np.array([signature.speed for signature in signatures]),
         place=np.array([places[one.place or Place("", -number)] for number, one in enumerate(signatures)]),
-        section=np.array([sections.index("" if one.place is None else one.place.section) for one in signatures]),
+        section=np.array([sections.index(code) for code in codes]),
         wheelset=np.zeros(n, dtype=np.int64),
         variance=np.zeros(n),
     )
@@ -154,7 +155,7 @@ def _rows(signatures: Sequence[Signature]) -> Rows:
 def _used(
     conicity: float, std: float, signatures: Sequence[Signature], library: Library, basis: Basis
 ) -> tuple[UsedEntry, ...]:
-    places = {one.place for one in signatures}
+    places = {signature.place for signature in signatures}
     weights: dict[tuple[str, str], float] = {}
     about: dict[tuple[str, str], tuple[list[float], ConicitySource]] = {}
     total = 0.0

@@ -148,11 +148,11 @@ class Calibration(FrozenArrays):
 
         return float(brentq(beyond, 0.9 * NORMAL * each.min(), 1.1 * NORMAL * each.max())) / NORMAL
 
-    def novelty(self, found: Likelihood) -> float:
+    def novelty(self, distance: Likelihood) -> float:
         """Return how far a signature is, over the largest distance that is answered: of all features, or of roll."""
         # Roll over R is that of the contact angles, whatever the track: wheels of other profiles that move from side to
         # side like those of the library roll otherwise. Among all features it is lost.
-        return max(found.whole / self.whole.largest, found.roll / self.roll.largest)
+        return max(distance.whole / self.whole.largest, distance.roll / self.roll.largest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,59 +168,61 @@ class _Judged:
 
 
 def calibrated(
-    rows: Rows, known: OnFile, groups: Sequence[frozenset[str]], parameters: SignatureParameters
+    rows: Rows, on_file: OnFile, groups: Sequence[frozenset[str]], parameters: SignatureParameters
 ) -> Mapping[Basis, Calibration | Reason]:
     """Return the calibration of a library by basis, or why it has none; entries that share a group go together."""
     apart = _folds(rows, groups)
-    judged = partial(_judged, rows, known, apart, margin=parameters.margin)
-    shares = known.shares
-    found: dict[Basis, Calibration | Reason] = {
+    judged = partial(_judged, rows, on_file, apart, margin=parameters.margin)
+    shares = on_file.shares
+    calibrations: dict[Basis, Calibration | Reason] = {
         Basis.SAME_PLACES: _of(judged(basis=Basis.SAME_PLACES), shares, parameters)
     }
     sections = len(np.unique(rows.section))
     if sections < parameters.least_sections:
-        found[Basis.OTHER_PLACES] = Reason(
+        calibrations[Basis.OTHER_PLACES] = Reason(
             ReasonCode.NOT_IN_LIBRARY,
             f"the library does not have the places, and its {sections} sections do not show"
             f" how sections differ; {parameters.least_sections} are needed",
         )
     else:
-        found[Basis.OTHER_PLACES] = _of(judged(basis=Basis.OTHER_PLACES), shares, parameters)
-    return found
+        calibrations[Basis.OTHER_PLACES] = _of(judged(basis=Basis.OTHER_PLACES), shares, parameters)
+    return calibrations
 
 
-def differences(rows: Rows, known: OnFile, groups: Sequence[frozenset[str]], margin: float) -> Differences:
+def differences(rows: Rows, on_file: OnFile, groups: Sequence[frozenset[str]], margin: float) -> Differences:
     """Return how far wheelsets are judged by the others from what is on file of them, on places that these have."""
-    found = list(_judged(rows, known, _folds(rows, groups), Basis.SAME_PLACES, margin))
-    wheelset = np.unique([one.wheelset for one in found], return_inverse=True)[1]
+    judged = list(_judged(rows, on_file, _folds(rows, groups), Basis.SAME_PLACES, margin))
+    wheelset = np.unique([judgement.wheelset for judgement in judged], return_inverse=True)[1]
     answers = np.bincount(wheelset)
     error, own, claimed = (
-        np.bincount(wheelset, [getattr(one, name) for one in found]) / answers for name in ("error", "own", "claimed")
+        np.bincount(wheelset, [getattr(item, name) for item in judged]) / answers
+        for name in ("error", "own", "claimed")
     )
     return Differences(error, answers.astype(np.float64), own, claimed)
 
 
-def conicity_grid(known: FloatArray, margin: float) -> FloatArray:
+def conicity_grid(conicities: FloatArray, margin: float) -> FloatArray:
     """Return the conicities (k,) that are tried."""
-    low, high = max(float(known.min()) - 2 * margin, 0.01), float(known.max()) + 2 * margin
+    low, high = max(float(conicities.min()) - 2 * margin, 0.01), float(conicities.max()) + 2 * margin
     return np.asarray(np.arange(low, high + SIGNATURE.conicity_step, SIGNATURE.conicity_step))
 
 
 def _folds(rows: Rows, groups: Sequence[frozenset[str]]) -> list[BoolArray]:
-    found = families(groups)
-    family = {name: number for number, names in enumerate(found) for name in names}
+    all_families = families(groups)
+    family = {name: number for number, names in enumerate(all_families) for name in names}
     of_row = np.array([family[min(group)] for group in groups])
-    count = min(SIGNATURE.fold_count, len(found))
+    count = min(SIGNATURE.fold_count, len(all_families))
     # families in the order of their conicity, so that every fold has all kinds
-    means = np.bincount(of_row, rows.conicity, len(found)) / np.maximum(np.bincount(of_row, minlength=len(found)), 1)
+    members = np.maximum(np.bincount(of_row, minlength=len(all_families)), 1)
+    means = np.bincount(of_row, rows.conicity, len(all_families)) / members
     rank = np.argsort(np.argsort(means, kind="stable"), kind="stable")[of_row]
     return [rank % count == number for number in range(count)]
 
 
-def outside(found: Likelihood, known: tuple[float, float], margin: float) -> bool:
+def outside(answer: Likelihood, covered: tuple[float, float], margin: float) -> bool:
     """Return whether the conicity may be one that a library does not cover: then it says nothing."""
-    beyond = (found.conicity < known[0] - margin) | (found.conicity > known[1] + margin)
-    return float(found.posterior[beyond].sum()) > SIGNATURE.most_outside_probability
+    beyond = (answer.conicity < covered[0] - margin) | (answer.conicity > covered[1] + margin)
+    return float(answer.posterior[beyond].sum()) > SIGNATURE.most_outside_probability
 
 
 def _judged(rows: Rows, on_file: OnFile, apart: Sequence[BoolArray], basis: Basis, margin: float) -> Iterator[_Judged]:
@@ -230,27 +232,27 @@ def _judged(rows: Rows, on_file: OnFile, apart: Sequence[BoolArray], basis: Basi
     each = -(-SIGNATURE.most_answers // max(len(tasks), 1))
     for taught, asked in tasks:
         model = fitted(rows.chosen(np.flatnonzero(taught)))
-        known = np.unique(rows.place[taught])
+        places = np.unique(rows.place[taught])
         ends = float(rows.conicity[taught].min()), float(rows.conicity[taught].max())
         grid = conicity_grid(rows.conicity[taught], margin)
         if basis is Basis.SAME_PLACES:
-            asked = asked & np.isin(rows.place, known)  # noqa: PLW2901 - where the library has the place
+            asked = asked & np.isin(rows.place, places)  # noqa: PLW2901 - where the library has the place
         for wheelset, which in _spread(rows, asked, each):
             mine = rows.chosen(which)
-            at = np.searchsorted(known, mine.place) if basis is Basis.SAME_PLACES else None
-            found = likelihood(model, mine, at, grid)
-            if outside(found, ends, margin):
+            at = np.searchsorted(places, mine.place) if basis is Basis.SAME_PLACES else None
+            answer = likelihood(model, mine, at, grid)
+            if outside(answer, ends, margin):
                 continue
-            like = at is not None or not _of_other_track(model, rows, taught, mine, found)
-            error = found.mean - float(np.mean(mine.on_file))
+            like = at is not None or not _of_other_track(model, rows, taught, mine, answer)
+            error = answer.mean - float(np.mean(mine.on_file))
             own, claimed = float(np.mean(on_file.own[which])) ** 2, float(np.mean(on_file.claimed[which])) ** 2
-            yield _Judged(wheelset, error, found.std, own, claimed, found.whole, found.roll, like)
+            yield _Judged(wheelset, error, answer.std, own, claimed, answer.whole, answer.roll, like)
 
 
-def _of_other_track(model: MixedModel, rows: Rows, taught: BoolArray, mine: Rows, found: Likelihood) -> bool:
+def _of_other_track(model: MixedModel, rows: Rows, taught: BoolArray, mine: Rows, answer: Likelihood) -> bool:
     section = rows.section[taught][np.unique(rows.place[taught], return_index=True)[1]]
     low, high = levels_between(model, section, len(np.unique(mine.place)))
-    return not low <= level_of(model, mine, found.mean) <= high
+    return not low <= level_of(model, mine, answer.mean) <= high
 
 
 def _spread(rows: Rows, asked: BoolArray, most: int) -> Iterator[tuple[int, IntArray]]:
@@ -272,14 +274,14 @@ def _tasks(rows: Rows, left_out: BoolArray, basis: Basis) -> Iterator[tuple[Bool
 
 
 def _of(judged: Iterator[_Judged], shares: FloatArray, parameters: SignatureParameters) -> Calibration | Reason:
-    found = list(judged)
-    wheelsets = len({one.wheelset for one in found})
+    judgements = list(judged)
+    wheelsets = len({judgement.wheelset for judgement in judgements})
     if wheelsets < 3:  # noqa: PLR2004 - a spread needs some
         return Reason(ReasonCode.LIBRARY_TOO_SMALL, "too few wheelsets of the library can be judged by the others")
     return Calibration(
-        weights=_weights([one for one in found if one.like] or found, shares, parameters),
-        whole=_reach([one.whole for one in found], wheelsets),
-        roll=_reach([one.roll for one in found], wheelsets),
+        weights=_weights([judgement for judgement in judgements if judgement.like] or judgements, shares, parameters),
+        whole=_reach([judgement.whole for judgement in judgements], wheelsets),
+        roll=_reach([judgement.roll for judgement in judgements], wheelsets),
     )
 
 
@@ -288,12 +290,12 @@ def _reach(distances: Sequence[float], wheelsets: int) -> Reach:
     return Reach(float(logarithms.mean()), float(logarithms.std(ddof=1)), wheelsets)
 
 
-def _weights(found: Sequence[_Judged], shares: FloatArray, parameters: SignatureParameters) -> FloatArray:
+def _weights(judgements: Sequence[_Judged], shares: FloatArray, parameters: SignatureParameters) -> FloatArray:
     """Return the probabilities (k, m) of shares and of factors on standard deviations, by those of the shares (k,)."""
-    wheelset = np.unique([one.wheelset for one in found], return_inverse=True)[1]
+    wheelset = np.unique([judgement.wheelset for judgement in judgements], return_inverse=True)[1]
     weight = 1.0 / np.bincount(wheelset)[wheelset]
     std, error, own, claimed = (
-        np.array([getattr(one, name) for one in found]) for name in ("std", "error", "own", "claimed")
+        np.array([getattr(judgement, name) for judgement in judgements]) for name in ("std", "error", "own", "claimed")
     )
     weights = np.zeros((len(shares), len(FACTORS)))
     for number in np.flatnonzero(shares):

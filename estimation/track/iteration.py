@@ -73,7 +73,7 @@ class IterationParameters:
 
 @dataclass(frozen=True, slots=True)
 class IterationResult:
-    """Where the rounds ended."""
+    """State at the end of the rounds."""
 
     panel: Panel  # with the gauge, where it varies
     state: PanelState  # without the prior alignment
@@ -97,12 +97,12 @@ class IterationResult:
     @property
     def passes(self) -> list[GriddedPass]:
         """Passes of all journeys in order."""
-        return [item for one in self.placed.values() for item in one.passes]
+        return [item for journey in self.placed.values() for item in journey.passes]
 
     @property
     def corrections(self) -> dict[Journey, Correction]:
         """Corrections of the positions by journey."""
-        return {journey: one.correction for journey, one in self.placed.items()}
+        return {journey: placed.correction for journey, placed in self.placed.items()}
 
     @property
     def measured_curves(self) -> list[MeasuredCurve]:
@@ -110,7 +110,7 @@ class IterationResult:
         return [self.panel.measured[life] for life in self.solution.lives if life in self.panel.measured]
 
     def at_rest(self, parameters: IterationParameters) -> bool:
-        """Return whether neither positions nor stiffness ratios move any more."""
+        """Return whether positions and stiffness ratios have converged."""
         return self.moved < parameters.position_tolerance and self.changed < parameters.ratio_tolerance
 
     def convergence(self, parameters: IterationParameters) -> tuple[Convergence, ...]:
@@ -123,7 +123,7 @@ class IterationResult:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What stays the same over the rounds."""
+    """Inputs that stay the same over the rounds."""
 
     grouped: Grouped
     prior: PriorAlignment | None
@@ -149,21 +149,21 @@ def iterate(
     constant = prior is not None and prior.gauge_known and not prior.gauge.any()
     if constant or not (first.state.count >= TRACK.fewest_place_passes).any():
         return first
-    if (
-        prior is None or not prior.gauge_known
-    ):  # without a gauge that is found for certain its effect is in the intervals
-        found = _with_searched_gauge(setting, first, parameters.gauge_searches)
-        return found if all(one.converged for one in found.gauge_convergence if one.of is Iterated.GAUGE) else first
+    # without a gauge that is found for certain its effect is in the intervals
+    if prior is None or not prior.gauge_known:
+        iterated = _with_searched_gauge(setting, first, parameters.gauge_searches)
+        searches = (step for step in iterated.gauge_convergence if step.of is Iterated.GAUGE)
+        return iterated if all(step.converged for step in searches) else first
     corrections, ratios = first.corrections, first.ratios
     if not anchored:
         corrections, ratios = _register_by_gauge(setting, first, prior.gauge, positions)
         setting = replace(setting, anchored=True)
-    found = _rounds(setting, first.panel.with_gauge(prior.gauge, {}), corrections, ratios)
+    iterated = _rounds(setting, first.panel.with_gauge(prior.gauge, {}), corrections, ratios)
     for number in range(1, parameters.most_wheel_rounds + 1):
-        found = _solved(setting, _repositioned(setting, found), _with_wheels(found))
-        if number >= parameters.wheel_rounds and found.at_rest(parameters):
+        iterated = _solved(setting, _repositioned(setting, iterated), _with_wheels(iterated))
+        if number >= parameters.wheel_rounds and iterated.at_rest(parameters):
             break
-    return replace(_finished(setting, found), first_noise=first.noise)
+    return replace(_finished(setting, iterated), first_noise=first.noise)
 
 
 def first_rounds(
@@ -176,52 +176,52 @@ def first_rounds(
     prior = setting.prior
     if prior is None or not setting.anchored or not prior.surveyed:
         return _rounds(setting, panel, corrections, {}, std=std)
-    found = _rounds(setting, panel, corrections, {}, std=False)
+    iterated = _rounds(setting, panel, corrections, {}, std=False)
     varies = prior.gauge_known and bool(prior.gauge.any())
     fixed, grouped = replace(setting, placed_on_survey=True), setting.grouped
     tolerance = setting.parameters.survey_tolerance
     for _ in range(setting.parameters.survey_rounds):
-        on_survey = positions_on_survey(found.placed, prior, panel.grid)
-        noisy = varies and not found.placed_on_survey
-        if on_survey is None or (noisy and _mean_move(grouped, found.corrections, on_survey) < tolerance):
+        on_survey = positions_on_survey(iterated.placed, prior, panel.grid)
+        noisy = varies and not iterated.placed_on_survey
+        if on_survey is None or (noisy and _mean_move(grouped, iterated.corrections, on_survey) < tolerance):
             break
-        moved = _largest_move(grouped, found.corrections, on_survey)
-        found = replace(_rounds(fixed, panel, on_survey, found.ratios, std=False), placed_on_survey=True)
+        moved = _largest_move(grouped, iterated.corrections, on_survey)
+        iterated = replace(_rounds(fixed, panel, on_survey, iterated.ratios, std=False), placed_on_survey=True)
         if moved < setting.parameters.survey_moved:
             break
-    if found.placed_on_survey:
-        found = _moved_as_a_whole(fixed, found, prior)
-    return _finished(setting, found) if std else found
+    if iterated.placed_on_survey:
+        iterated = _moved_as_a_whole(fixed, iterated, prior)
+    return _finished(setting, iterated) if std else iterated
 
 
-def _moved_as_a_whole(fixed: Setting, found: IterationResult, survey: PriorAlignment) -> IterationResult:
+def _moved_as_a_whole(fixed: Setting, iterated: IterationResult, survey: PriorAlignment) -> IterationResult:
     """Return the rounds with all journeys moved alike, between where R and where y - h(R) puts them on the survey."""
     # The errors of a survey flatten the regression of R on y - d, and what is left of R moves all journeys alike. Those
     # of R do the same the other way round, and move them the other way: each counts by the share of the other's errors.
-    step = fleet_step(found.state, found.solution, survey)
-    state, d = found.state, np.nan_to_num(found.solution.alignment)
+    step = fleet_step(iterated.state, iterated.solution, survey)
+    state, d = iterated.state, np.nan_to_num(iterated.solution.alignment)
     square = float(state.square.sum() - 2.0 * d @ state.displacement + d**2 @ state.passes)
     error = float(np.median(survey.std[np.isfinite(survey.std)])) ** 2
     flattened = error / (error + max(square, 0.0) / max(float(state.passes.sum()), 1.0))
-    left = 1.0 - _explained(fixed, found)
+    left = 1.0 - _explained(fixed, iterated)
     share = flattened / (flattened + fixed.parameters.curves_flatten * left)
     if step is None or abs(share * step) < fixed.parameters.survey_moved:
-        return found
-    moved = {journey: replace(one, offset=one.offset + share * step) for journey, one in found.corrections.items()}
-    return replace(_rounds(fixed, found.panel, moved, found.ratios, std=False), placed_on_survey=True)
+        return iterated
+    moved = {journey: replace(old, offset=old.offset + share * step) for journey, old in iterated.corrections.items()}
+    return replace(_rounds(fixed, iterated.panel, moved, iterated.ratios, std=False), placed_on_survey=True)
 
 
-def with_slope(found: IterationResult, prior: PriorAlignment | None, most_weight: float) -> IterationResult:
-    """Return ``found`` with the curves as steep as they are without the errors of R."""
-    if found.solution.curves_fixed:
-        return found
-    state = found.state if prior is None else add_prior(found.state, prior, found.noise, most_weight)
-    slope = found.slope or slope_correction(state, found.solution)
-    if prior is not None and prior.gauge_known and found.panel.gauge is None:  # a gauge is no noise
-        slope = with_instrument(slope, found.passes, found.solution, found.panel)
+def with_slope(iterated: IterationResult, prior: PriorAlignment | None, most_weight: float) -> IterationResult:
+    """Return ``iterated`` with the curves as steep as they are without the errors of R."""
+    if iterated.solution.curves_fixed:
+        return iterated
+    state = iterated.state if prior is None else add_prior(iterated.state, prior, iterated.noise, most_weight)
+    slope = iterated.slope or slope_correction(state, iterated.solution)
+    if prior is not None and prior.gauge_known and iterated.panel.gauge is None:  # a gauge is no noise
+        slope = with_instrument(slope, iterated.passes, iterated.solution, iterated.panel)
     if not np.isfinite(slope.std):
-        return replace(found, slope=slope)
-    return replace(found, solution=corrected(state, found.solution, slope.factor), slope=slope)
+        return replace(iterated, slope=slope)
+    return replace(iterated, solution=corrected(state, iterated.solution, slope.factor), slope=slope)
 
 
 def _rounds(
@@ -235,15 +235,15 @@ def _rounds(
     p, empty = setting.parameters, init(panel)
     placed = place(setting.grouped, corrections, ratio_values(ratios), panel.grid)
     nothing = result(empty, std=False, parameters=panel.parameters)
-    found = IterationResult(panel, empty, nothing, placed, ratios, 0, float("inf"), float("inf"), p.pass_std)
-    while not (found.at_rest(p) or found.rounds >= p.rounds - 1):
-        found = _repositioned(setting, _solved(setting, found, panel))
-    found = _solved(setting, found, panel, std=std)
-    return _with_ratio_std(setting, found) if std else found
+    iterated = IterationResult(panel, empty, nothing, placed, ratios, 0, float("inf"), float("inf"), p.pass_std)
+    while not (iterated.at_rest(p) or iterated.rounds >= p.rounds - 1):
+        iterated = _repositioned(setting, _solved(setting, iterated, panel))
+    iterated = _solved(setting, iterated, panel, std=std)
+    return _with_ratio_std(setting, iterated) if std else iterated
 
 
-def _explained(setting: Setting, found: IterationResult) -> float:
-    return slope_correction(_state_with_prior(found.state, setting, found.noise), found.solution).explained
+def _explained(setting: Setting, iterated: IterationResult) -> float:
+    return slope_correction(_state_with_prior(iterated.state, setting, iterated.noise), iterated.solution).explained
 
 
 def _state_with_prior(state: PanelState, setting: Setting, noise: float) -> PanelState:
@@ -254,7 +254,7 @@ def _refined_corrections(
     setting: Setting, placed: Placed, ratios: Mapping[str, Ratio], state: PanelState, solution: PanelSolution
 ) -> dict[Journey, Correction]:
     if setting.placed_on_survey:
-        return {journey: one.correction for journey, one in placed.items()}
+        return {journey: at.correction for journey, at in placed.items()}
     adjusted = with_ratios(placed, ratio_values(ratios), state.panel.grid)
     better = refine(adjusted, solution, state.panel, anchored=setting.anchored)
     if not setting.anchored or setting.prior is None:
@@ -263,83 +263,85 @@ def _refined_corrections(
     if step is None:
         return better
     mean = float(np.mean([better[journey].offset - placed[journey].correction.offset for journey in better]))
-    return {journey: replace(one, offset=one.offset - mean + step) for journey, one in better.items()}
+    return {journey: replace(old, offset=old.offset - mean + step) for journey, old in better.items()}
 
 
 def _with_searched_gauge(setting: Setting, first: IterationResult, searches: int) -> IterationResult:
-    """Return the solution with a gauge deviation of the place, where that explains the residuals; else as it was."""
+    """Return the solution with a gauge deviation by place if that explains the residuals; else ``first``."""
     p = setting.parameters
     effect = initial_gauge_effect(first.passes, first.solution, first.panel, p.gauge)
     if effect is None:
         return first
     panel = first.panel.with_gauge(np.zeros(first.panel.grid.points))
-    found = replace(first, panel=panel, solution=with_gauge_effect(first.solution, effect, panel))
+    iterated = replace(first, panel=panel, solution=with_gauge_effect(first.solution, effect, panel))
     for number in range(p.gauge_trial):
-        found = _repositioned(setting, found) if number else found
-        prior = replace(p.gauge, noise=max(min(p.gauge.noise, found.noise), 0.3 * p.gauge.noise))
-        gauge, converged, steps = gauge_step(found.passes, found.solution, found.panel, prior)
+        iterated = _repositioned(setting, iterated) if number else iterated
+        prior = replace(p.gauge, noise=max(min(p.gauge.noise, iterated.noise), 0.3 * p.gauge.noise))
+        gauge, converged, steps = gauge_step(iterated.passes, iterated.solution, iterated.panel, prior)
         solve = Convergence(Iterated.GAUGE_STEP, converged, steps, float("nan"))
-        found = _solved(setting, found, found.panel.with_gauge(gauge))
-        found = replace(found, gauge_convergence=(*found.gauge_convergence, solve))
-    if found.noise > (1.0 - p.gauge_explains) * first.noise:
+        iterated = _solved(setting, iterated, iterated.panel.with_gauge(gauge))
+        iterated = replace(iterated, gauge_convergence=(*iterated.gauge_convergence, solve))
+    if iterated.noise > (1.0 - p.gauge_explains) * first.noise:
         return first
     change = np.inf
     for _ in range(searches):
-        before = found.panel.gauge
-        found = _repositioned(setting, found)
-        shifts = total_gauge_shifts(found.solution, found.panel)
-        gauge = search_gauge(found.passes, found.solution, found.panel, shifts, p.search)
-        found = _solved(setting, found, found.panel.with_gauge(gauge))
-        found = _solved(setting, _repositioned(setting, found), _with_wheels(found, sized=True))
-        after = found.panel.gauge
+        before = iterated.panel.gauge
+        iterated = _repositioned(setting, iterated)
+        shifts = total_gauge_shifts(iterated.solution, iterated.panel)
+        gauge = search_gauge(iterated.passes, iterated.solution, iterated.panel, shifts, p.search)
+        iterated = _solved(setting, iterated, iterated.panel.with_gauge(gauge))
+        iterated = _solved(setting, _repositioned(setting, iterated), _with_wheels(iterated, sized=True))
+        after = iterated.panel.gauge
         assert before is not None
         assert after is not None
         change = float(np.sqrt(np.mean((after - before) ** 2)))
     search = Convergence(Iterated.GAUGE, change < p.gauge_tolerance, searches, change)
-    found = _finished(setting, replace(found, gauge_convergence=(*found.gauge_convergence, search)))
+    iterated = _finished(setting, replace(iterated, gauge_convergence=(*iterated.gauge_convergence, search)))
     # a gauge that is searched fits noise: curves are to be as steep as without it
     slope = slope_correction(_state_with_prior(first.state, setting, first.noise), first.solution)
-    share = common_slope(found.solution, first.solution)
+    share = common_slope(iterated.solution, first.solution)
     slope = replace(slope, factor=slope.factor * share, std=slope.std * share)
-    return replace(found, slope=slope, first_noise=first.noise)
+    return replace(iterated, slope=slope, first_noise=first.noise)
 
 
-def _with_wheels(found: IterationResult, *, sized: bool = False) -> Panel:
-    assert found.panel.gauge is not None
-    samples = contact_samples(found.passes, found.solution, found.panel)
+def _with_wheels(iterated: IterationResult, *, sized: bool = False) -> Panel:
+    assert iterated.panel.gauge is not None
+    samples = contact_samples(iterated.passes, iterated.solution, iterated.panel)
     factor = gauge_factor(samples) if sized else 1.0
-    shifts = {name: gauge_shift_of(fit_wheels(one.inliers(), factor)) for name, one in samples.items()}
-    return found.panel.with_gauge(factor * found.panel.gauge, remove_common_shift(shifts))
+    shifts = {life: gauge_shift_of(fit_wheels(sample.inliers(), factor)) for life, sample in samples.items()}
+    return iterated.panel.with_gauge(factor * iterated.panel.gauge, remove_common_shift(shifts))
 
 
-def _solved(setting: Setting, found: IterationResult, panel: Panel, *, std: bool = False) -> IterationResult:
-    state = update(init(panel), found.passes)
-    solution = result(_state_with_prior(state, setting, found.noise), std=std, parameters=panel.parameters)
+def _solved(setting: Setting, iterated: IterationResult, panel: Panel, *, std: bool = False) -> IterationResult:
+    state = update(init(panel), iterated.passes)
+    solution = result(_state_with_prior(state, setting, iterated.noise), std=std, parameters=panel.parameters)
     noise = max(residual_of_passes(state, solution), 0.1 * setting.parameters.pass_std)
-    return replace(found, panel=panel, state=state, solution=solution, noise=noise, rounds=found.rounds + 1)
+    return replace(iterated, panel=panel, state=state, solution=solution, noise=noise, rounds=iterated.rounds + 1)
 
 
-def _repositioned(setting: Setting, found: IterationResult) -> IterationResult:
-    ratios = refine_ratios(found.ratios, found.passes, found.solution, found.panel, _explained(setting, found))
-    state = replace(found.state, panel=found.panel)
-    corrections = _refined_corrections(setting, found.placed, ratios, state, found.solution)
+def _repositioned(setting: Setting, iterated: IterationResult) -> IterationResult:
+    panel, explained = iterated.panel, _explained(setting, iterated)
+    ratios = refine_ratios(iterated.ratios, iterated.passes, iterated.solution, panel, explained)
+    state = replace(iterated.state, panel=panel)
+    corrections = _refined_corrections(setting, iterated.placed, ratios, state, iterated.solution)
     return replace(
-        found,
-        placed=place(setting.grouped, corrections, ratio_values(ratios), found.panel.grid, found.placed),
+        iterated,
+        placed=place(setting.grouped, corrections, ratio_values(ratios), panel.grid, iterated.placed),
         ratios=ratios,
-        moved=_largest_move(setting.grouped, found.corrections, corrections),
-        changed=_ratio_change(found.ratios, ratios),
+        moved=_largest_move(setting.grouped, iterated.corrections, corrections),
+        changed=_ratio_change(iterated.ratios, ratios),
     )
 
 
-def _finished(setting: Setting, found: IterationResult) -> IterationResult:
-    whole = _solved(setting, found, found.panel, std=True)
-    return replace(_with_ratio_std(setting, whole), rounds=found.rounds)
+def _finished(setting: Setting, iterated: IterationResult) -> IterationResult:
+    whole = _solved(setting, iterated, iterated.panel, std=True)
+    return replace(_with_ratio_std(setting, whole), rounds=iterated.rounds)
 
 
-def _with_ratio_std(setting: Setting, found: IterationResult) -> IterationResult:
-    ratios = with_ratio_std(found.ratios, found.passes, found.solution, found.panel, _explained(setting, found))
-    return replace(found, ratios=ratios)
+def _with_ratio_std(setting: Setting, iterated: IterationResult) -> IterationResult:
+    panel, explained = iterated.panel, _explained(setting, iterated)
+    ratios = with_ratio_std(iterated.ratios, iterated.passes, iterated.solution, panel, explained)
+    return replace(iterated, ratios=ratios)
 
 
 def _register_by_gauge(
@@ -349,12 +351,12 @@ def _register_by_gauge(
     if trial.panel.gauge is None:
         return trial.corrections, trial.ratios  # the gauge hardly shows: then it hardly matters where it is
     both = [register(sign * trial.panel.gauge, gauge, trial.panel.grid, positions) for sign in (1.0, -1.0)]
-    correction = max(both, key=lambda found: found[1])[0]
-    return {journey: compose(one, correction) for journey, one in trial.corrections.items()}, trial.ratios
+    correction = max(both, key=lambda correction_and_fit: correction_and_fit[1])[0]
+    return {journey: compose(own, correction) for journey, own in trial.corrections.items()}, trial.ratios
 
 
 def _ratio_change(before: Mapping[str, Ratio], after: Mapping[str, Ratio]) -> float:
-    return max((abs(one.value - before.get(vehicle, Ratio()).value) for vehicle, one in after.items()), default=0.0)
+    return max((abs(ratio.value - before.get(vehicle, Ratio()).value) for vehicle, ratio in after.items()), default=0.0)
 
 
 def _mean_move(grouped: Grouped, before: Mapping[Journey, Correction], after: Mapping[Journey, Correction]) -> float:

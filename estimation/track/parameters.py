@@ -15,7 +15,7 @@ class TrackParameters:
     weight_power: int = 4
     largest_effective_weight: float = 0.25  # weight of the one that is furthest off, above which nothing would change
     # results
-    correlated_length: float = 20.0  # m along the track over which the error of y - d - h(R) of a pass is one
+    correlated_length: float = 20.0  # m, correlation length of the residual of a pass
     reported_position_std: float = 1.0  # m, of a position as it was reported
     # survey posterior
     band_edges: tuple[float, ...] = (120.0, 60.0, 30.0, 15.0, 7.5, 4.0)  # m, longest wavelength of each band

@@ -110,10 +110,10 @@ def adjusted_positions(
         met = np.flatnonzero(count)
         extents.append((int(met[0]), int(met[-1]) + 1) if len(met) else (0, 0))
     shifts = [
-        (first, second, one)
+        (first, second, clear_peak)
         for first, second in _pairs(extents, 4 * int(parameters.largest_offset / grid.step), parameters)
         for points in (_shared(extents[first], extents[second]),)
-        for one in clear_peaks(points, signals[first][points], signals[second], grid, parameters)
+        for clear_peak in clear_peaks(points, signals[first][points], signals[second], grid, parameters)
     ]
     middle = 0.5 * grid.length
     reported = np.array([0.5 * (first + last) * grid.step - middle for first, last in extents])
@@ -143,7 +143,7 @@ def _adjusted(
 ) -> tuple[FloatArray, FloatArray]:
     """Return offset (n,), m, and scale error (n,) of journeys ``reported`` (n,) m from the middle, by shifts."""
     n = len(reported)
-    first, second = (np.array([one[number] for one in shifts], np.int64) for number in (0, 1))
+    first, second = (np.array([shift[number] for shift in shifts], np.int64) for number in (0, 1))
     u, lag = (np.array([getattr(peak, name) for _, _, peak in shifts]) for name in ("middle", "shift"))
     known = np.array([peak.correlation**2 for _, _, peak in shifts])
     columns = np.stack([first, n + first, second, n + second], axis=1).reshape(-1, 4)
@@ -184,9 +184,9 @@ def correlate_positions(
     corrections = {}
     for journey, members in grouped.items():
         peaks = [
-            one
+            clear_peak
             for points, y in filtered_displacements(members, grid)
-            for one in clear_peaks(points, y, alignment, grid, parameters)
+            for clear_peak in clear_peaks(points, y, alignment, grid, parameters)
         ]
         corrections[journey] = _fitted(Correction(middle=0.5 * grid.length), peaks, parameters)
     return corrections

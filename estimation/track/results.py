@@ -1,4 +1,4 @@
-"""What follows from the solution of a section: alignment with its std, findings, places of journeys, report."""
+"""Results of the solution of a section: alignment with its std, findings, places of journeys, report."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ from estimation.values.track import (
 
 
 def findings(iterated: IterationResult, *, gauge_estimated: bool) -> tuple[TrackFindings, FloatArray | None]:
-    """Return what the passes show, and the gauge deviation (n,), m, where that of the panel came from them."""
-    ratios = {vehicle: one.value for vehicle, one in iterated.ratios.items()}
-    std = max((one.std for one in iterated.ratios.values()), default=0.0)
+    """Return the findings, and the gauge deviation (n,) in m if the passes determined it."""
+    ratios = {vehicle: ratio.value for vehicle, ratio in iterated.ratios.items()}
+    std = max((ratio.std for ratio in iterated.ratios.values()), default=0.0)
     gauge = iterated.panel.gauge
     if gauge is None:
         return TrackFindings(ratios, std, {}), None
@@ -46,7 +46,7 @@ def findings(iterated: IterationResult, *, gauge_estimated: bool) -> tuple[Track
     shifts = total_gauge_shifts(iterated.solution, panel)
     sign = gauge_sign(contact_samples(iterated.passes, iterated.solution, panel), shifts) if gauge_estimated else 1
     if sign < 0:
-        shifts = {name: replace(one, shift=one.shift[:, ::-1]) for name, one in shifts.items()}  # a symmetric grid
+        shifts = {life: replace(item, shift=item.shift[:, ::-1]) for life, item in shifts.items()}  # a symmetric grid
     latest = {life.wheelset: shifts[life] for life in sorted(shifts)}  # of several lives the latest
     return TrackFindings(ratios, std, latest), sign * gauge if gauge_estimated else None
 
@@ -69,7 +69,7 @@ class JourneyReport:
 
 @dataclass(frozen=True, slots=True)
 class AlignmentReport:
-    """How an alignment was found, in figures; ``evidence`` names what was known besides the passes."""
+    """How an alignment was found, in figures; ``evidence`` names what was used besides the passes."""
 
     status: Status
     reason: Reason | None
@@ -88,17 +88,17 @@ class AlignmentReport:
     journeys: tuple[JourneyReport, ...] = ()
 
     def as_json(self) -> Mapping[str, JsonValue]:
-        """Return all of it as JSON; a number that is none is null."""
+        """Return the report as JSON; NaN and infinity become null."""
         return cast("dict[str, JsonValue]", _json(asdict(self)))
 
 
 def _json(value: Any) -> JsonValue:  # noqa: ANN401 - of any field
     if isinstance(value, dict):
-        whole = {name: _json(item) for name, item in value.items()}
+        as_json = {name: _json(item) for name, item in value.items()}
         if "reason" in value:  # as the database has it: the sentence, and the code beside it
             reason = value["reason"] or {"text": "", "code": None}
-            whole |= {"reason": reason["text"], "reason_code": reason["code"] and str(reason["code"])}
-        return whole
+            as_json |= {"reason": reason["text"], "reason_code": reason["code"] and str(reason["code"])}
+        return as_json
     if isinstance(value, tuple):
         return [_json(item) for item in value]
     if isinstance(value, StrEnum):
@@ -106,18 +106,18 @@ def _json(value: Any) -> JsonValue:  # noqa: ANN401 - of any field
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def nothing(reason: Reason, evidence: tuple[str, ...] = ()) -> AlignmentReport:
-    """Return the report of passes from which nothing follows, for this reason."""
+def unestimated_report(reason: Reason, evidence: tuple[str, ...] = ()) -> AlignmentReport:
+    """Return the report of passes from which no alignment was estimated, for this reason."""
     return AlignmentReport(Status.UNESTIMATED, reason, evidence=evidence)
 
 
 @dataclass(frozen=True, slots=True)
 class LongWaveAlignment:
-    """Mean of y - h(R) over the passes, high-passed at one cut-off wavelength only."""
+    """Alignment with wavelengths up to a long cut-off only: mean of y - h(R) over the passes."""
 
     alignment: FloatArray  # (n,) m, zero where no pass
     pass_std: float  # m, of one pass, from the spread of the passes
-    passes: FloatArray  # (n,) sum of their weights
+    weight: FloatArray  # (n,) sum of the weights of the passes
     curves: FloatArray  # (n,) m, mean of h(R) over the passes, zero where no pass
 
 
@@ -126,22 +126,22 @@ def long_wave_alignment(
 ) -> LongWaveAlignment:
     """Return the alignment, up to a cut-off wavelength, m, from ``passes`` with the curves of ``solution``."""
     weights = local_cubic_kernel(cutoff_wavelength, panel.grid.step)
-    total, square, count, curves = np.zeros((4, panel.grid.points))
+    total, square, weight_sum, curves = np.zeros((4, panel.grid.points))
     for item, curve in solution.used(passes):
-        rest = unfiltered_residual(item, curve, panel)
-        pass_residual, y = high_pass(np.stack([rest, item.displacement]), weights)
+        unfiltered = unfiltered_residual(item, curve, panel)
+        pass_residual, y = high_pass(np.stack([unfiltered, item.displacement]), weights)
         inside = valid_support(item.certain, weights) & panel.grid.contains(item.points)
-        at = item.points[inside]
+        points = item.points[inside]
         weight = panel.weight_of(item.life)
-        total[at] += weight * pass_residual[inside]
-        square[at] += weight * pass_residual[inside] ** 2
-        curves[at] += weight * (y - pass_residual)[inside]
-        count[at] += weight
-    shared = np.where(count > 0.0, count, 1.0)
-    mean = total / shared
-    several = count > 1
-    spread = (square - count * mean**2)[several].sum() / max(float((count - 1)[several].sum()), 1.0)
-    return LongWaveAlignment(mean, float(np.sqrt(max(spread, 0.0))), count, curves / shared)
+        total[points] += weight * pass_residual[inside]
+        square[points] += weight * pass_residual[inside] ** 2
+        curves[points] += weight * (y - pass_residual)[inside]
+        weight_sum[points] += weight
+    nonzero_weight = np.where(weight_sum > 0.0, weight_sum, 1.0)
+    mean = total / nonzero_weight
+    several = weight_sum > 1
+    spread = (square - weight_sum * mean**2)[several].sum() / max(float((weight_sum - 1)[several].sum()), 1.0)
+    return LongWaveAlignment(mean, float(np.sqrt(max(spread, 0.0))), weight_sum, curves / nonzero_weight)
 
 
 def merged_alignment(
@@ -149,26 +149,26 @@ def merged_alignment(
 ) -> TrackAlignment:
     """Return the solution as an alignment, NaN where it is not known; places without a pass stay as they were."""
     grid = iterated.panel.grid
-    found = long_wave_alignment(iterated.passes, iterated.solution, iterated.panel, p.cutoff_wavelength)
+    long_wave = long_wave_alignment(iterated.passes, iterated.solution, iterated.panel, p.cutoff_wavelength)
     zero = np.zeros(grid.points)
-    known = PriorAlignment(zero, np.full_like(zero, np.inf), zero, zero, zero, gauge_known=False)
+    prior_on_panel = PriorAlignment(zero, np.full_like(zero, np.inf), zero, zero, zero, gauge_known=False)
     if prior is not None:
-        known = prior_on_grid(prior, grid, p.cutoff_wavelength)
+        prior_on_panel = prior_on_grid(prior, grid, p.cutoff_wavelength)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = (found.pass_std / known.std) ** 2
-    weight = np.where(np.isfinite(known.std), np.fmin(ratio, p.iteration.most_weight), 0.0)
-    shared = np.maximum(found.passes + weight, 1e-12)
-    d = (found.passes * found.alignment + weight * known.alignment) / shared
-    certain = (found.passes >= p.panel.least_passes) | np.isfinite(known.std)
-    shown, shown_gauge = findings(iterated, gauge_estimated=not known.gauge_known)
-    gauge = known.gauge if shown_gauge is None else shown_gauge
-    gauge_std = _gauge_std(iterated, known, shown_gauge, p)
+        ratio = (long_wave.pass_std / prior_on_panel.std) ** 2
+    weight = np.where(np.isfinite(prior_on_panel.std), np.fmin(ratio, p.iteration.most_weight), 0.0)
+    total_weight = np.maximum(long_wave.weight + weight, 1e-12)
+    d = (long_wave.weight * long_wave.alignment + weight * prior_on_panel.alignment) / total_weight
+    certain = (long_wave.weight >= p.panel.least_passes) | np.isfinite(prior_on_panel.std)
+    track_findings, found_gauge = findings(iterated, gauge_estimated=not prior_on_panel.gauge_known)
+    gauge = prior_on_panel.gauge if found_gauge is None else found_gauge
+    gauge_std = _gauge_std(iterated, prior_on_panel, found_gauge, p)
     profile_std, profile_scale_std = _profile_uncertainty(iterated)
     slope_std = 0.0 if iterated.slope is None else min(iterated.slope.std, p.open_slope_std)
-    of_gauge = p.systematic_per_gauge[shown_gauge is not None] * float(np.std(gauge))
-    systematic = p.systematic**2 + of_gauge**2 + profile_std**2 + (slope_std * found.curves) ** 2
-    std = _std(found, shared, iterated.solution.common_std, systematic)
-    of_prior = 0.0 if prior is None else prior.scale_std * float(np.median(weight / shared))
+    gauge_model_std = p.systematic_per_gauge[found_gauge is not None] * float(np.std(gauge))
+    systematic = p.systematic**2 + gauge_model_std**2 + profile_std**2 + (slope_std * long_wave.curves) ** 2
+    std = _std(long_wave, total_weight, iterated.solution.common_std, systematic)
+    prior_scale_std = 0.0 if prior is None else prior.scale_std * float(np.median(weight / total_weight))
     return TrackAlignment(
         section=section,
         version=0,
@@ -177,58 +177,57 @@ def merged_alignment(
         alignment_std=np.where(certain, std, np.nan),
         gauge_deviation=gauge,
         gauge_deviation_std=gauge_std,
-        passes=np.rint(found.passes + known.passes).astype(np.int64),
+        passes=np.rint(long_wave.weight + prior_on_panel.passes).astype(np.int64),
         status=Status.ESTIMATED,
         source=AlignmentSource.FLEET,
         cutoff_wavelength=p.cutoff_wavelength,
-        scale_std=float(np.linalg.norm([_scale_std(shown_gauge, p), profile_scale_std, slope_std, of_prior])),
-        gauge_known=known.gauge_known and shown_gauge is None,
-        findings=shown,
+        scale_std=float(np.linalg.norm([_scale_std(found_gauge, p), profile_scale_std, slope_std, prior_scale_std])),
+        gauge_known=prior_on_panel.gauge_known and found_gauge is None,
+        findings=track_findings,
     )
 
 
-def _std(found: LongWaveAlignment, shared: FloatArray, of_curves: FloatArray, systematic: FloatArray) -> FloatArray:
-    """Return the std (n,), m: of curves and passes, and a systematic variance (n,), m2, by the passes' share."""
-    common = np.where(np.isfinite(of_curves), of_curves, 0.0)
-    std = np.hypot(common * found.passes / shared, found.pass_std / np.sqrt(shared))
-    return np.asarray(np.sqrt(std**2 + found.passes / shared * systematic))
+def _std(long_wave: LongWaveAlignment, total: FloatArray, curves_std: FloatArray, systematic: FloatArray) -> FloatArray:
+    """Return the std (n,) in m: curves, passes, and the systematic variance, weighted by the share of the passes."""
+    common = np.where(np.isfinite(curves_std), curves_std, 0.0)
+    std = np.hypot(common * long_wave.weight / total, long_wave.pass_std / np.sqrt(total))
+    return np.asarray(np.sqrt(std**2 + long_wave.weight / total * systematic))
 
 
 def _gauge_std(
-    iterated: IterationResult, known: PriorAlignment, shown: FloatArray | None, parameters: SectionParameters
+    iterated: IterationResult, prior: PriorAlignment, gauge: FloatArray | None, parameters: SectionParameters
 ) -> FloatArray:
-    """Return the std (n,), m, of the gauge deviation: as surveyed, or by what it does to passes that know none of it.
+    """Return the std (n,), m, of the gauge deviation: as surveyed; else from how far passes disagree beyond noise.
 
-    Passes disagree by more than sensors make them where a gauge that is not modelled moves their wheelsets apart;
-    wheelsets that are alike are moved alike.
+    A gauge that is not modelled makes passes disagree; similar wheelsets are moved alike, and show less of it.
     """
-    if known.gauge_known:
-        return known.gauge_std
+    if prior.gauge_known:
+        return prior.gauge_std
     unexplained = float(np.sqrt(max(iterated.noise_without_gauge**2 - parameters.sensor_residual_rms**2, 0.0)))
-    differing = min(between_pass_std_ratio(iterated.state) / parameters.wide_std_ratio, 1.0)
-    inferred = unexplained / (parameters.gauge_effect * differing) if differing > 0.0 else 0.0
-    found = 0.0 if shown is None else float(np.std(shown))
-    return np.full_like(known.gauge_std, max(inferred, found))
+    diversity = min(between_pass_std_ratio(iterated.state) / parameters.wide_std_ratio, 1.0)
+    inferred = unexplained / (parameters.gauge_effect * diversity) if diversity > 0.0 else 0.0
+    gauge_spread = 0.0 if gauge is None else float(np.std(gauge))
+    return np.full_like(prior.gauge_std, max(inferred, gauge_spread))
 
 
-def _scale_std(shown: FloatArray | None, p: SectionParameters) -> float:
-    return p.scale_error if shown is None else float(np.hypot(p.scale_error, p.gauge_scale_error))
+def _scale_std(found_gauge: FloatArray | None, p: SectionParameters) -> float:
+    return p.scale_error if found_gauge is None else float(np.hypot(p.scale_error, p.gauge_scale_error))
 
 
 def _profile_uncertainty(iterated: IterationResult) -> tuple[float, float]:
     if not iterated.solution.curves_fixed:
         return 0.0, 0.0
-    squares = np.array([(one.std, one.std / one.spread) for one in iterated.measured_curves]) ** 2
+    squares = np.array([(curve.std, curve.std / curve.spread) for curve in iterated.measured_curves]) ** 2
     std, scale = np.sqrt(squares.mean(axis=0))
     used = [item for item in iterated.passes if not item.empty]
-    stiffness = sum(float(part @ part) for part in (item.stiffness_term[item.inside] for item in used))
-    whole = sum(float(part @ part) for part in (item.difference[item.inside] for item in used))
-    of_stiffness = PRIOR_STD * np.sqrt(stiffness / whole) if whole > 0.0 else 0.0
-    return float(std), float(np.hypot(scale, of_stiffness))
+    stiffness = sum(float(values @ values) for values in (item.stiffness_term[item.inside] for item in used))
+    total_power = sum(float(values @ values) for values in (item.difference[item.inside] for item in used))
+    stiffness_scale_std = PRIOR_STD * np.sqrt(stiffness / total_power) if total_power > 0.0 else 0.0
+    return float(std), float(np.hypot(scale, stiffness_scale_std))
 
 
 def position_std(iterated: IterationResult) -> dict[Journey, float]:
-    """Return the std of each journey's offset, m, by the slope of the alignment and the residuals; inf for none."""
+    """Return the std of each journey's offset, m, by alignment slope and residuals; inf where no pass is usable."""
     panel, solution = iterated.panel, iterated.solution
     slope = np.gradient(np.nan_to_num(solution.alignment), panel.grid.step)
     weight = panel.grid.step / TRACK.correlated_length / max(iterated.noise, 1e-9) ** 2
@@ -240,13 +239,13 @@ def position_std(iterated: IterationResult) -> dict[Journey, float]:
 
 
 def shrunk(iterated: IterationResult) -> Mapping[Journey, Correction]:
-    """Return the corrections of journeys, each as far as it is better known than the reported position."""
-    found = {}
+    """Return the corrections of journeys, each shrunk by how well it is known beside the reported position."""
+    corrections = {}
     for journey, std in position_std(iterated).items():
         share = TRACK.reported_position_std**2 / (TRACK.reported_position_std**2 + std**2)
-        one = iterated.corrections[journey]
-        found[journey] = replace(one, offset=share * one.offset, scale=share * one.scale)
-    return found
+        correction = iterated.corrections[journey]
+        corrections[journey] = replace(correction, offset=share * correction.offset, scale=share * correction.scale)
+    return corrections
 
 
 def place_alone(
@@ -256,9 +255,9 @@ def place_alone(
     parameters: SectionParameters,
     measured: Mapping[ProfileLife, MeasuredCurve] | None = None,
 ) -> dict[Journey, Correction]:
-    """Return where each journey was on an alignment, whatever others show; those whose place is not found are left out.
+    """Return where each journey was on an alignment, regardless of others; journeys without a place are left out.
 
-    Nothing is placed on an alignment whose gauge is known to vary: that takes the wheels of all.
+    Returns nothing where the gauge is known to vary: that needs the wheel functions of all wheelsets.
     """
     panel = Panel.of(replace(parameters.panel, length=section.length_m), measured)
     prior = prior_on_grid(alignment, panel.grid, parameters.panel.cutoff_wavelength)
@@ -266,10 +265,10 @@ def place_alone(
         return {}
     places = {}
     for journey, members in grouped.items():
-        alone: Grouped = {journey: members}
-        setting = Setting(alone, prior, anchored=True, parameters=parameters.iteration)
-        start = correlate_positions(alone, panel.grid, parameters.positions, prior.alignment)
-        found = first_rounds(setting, panel, start, std=False)
-        if found.moved < parameters.iteration.position_tolerance:
-            places[journey] = shrunk(found)[journey] if prior.surveyed else found.corrections[journey]
+        this_journey: Grouped = {journey: members}
+        setting = Setting(this_journey, prior, anchored=True, parameters=parameters.iteration)
+        start = correlate_positions(this_journey, panel.grid, parameters.positions, prior.alignment)
+        iterated = first_rounds(setting, panel, start, std=False)
+        if iterated.moved < parameters.iteration.position_tolerance:
+            places[journey] = shrunk(iterated)[journey] if prior.surveyed else iterated.corrections[journey]
     return places

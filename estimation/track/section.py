@@ -25,7 +25,7 @@ from estimation.track.panel.solution import (
 )
 from estimation.track.parameters import TRACK
 from estimation.track.passes import Journey, Pass, ProfileLife, journeys
-from estimation.track.results import AlignmentReport, JourneyReport, merged_alignment, nothing
+from estimation.track.results import AlignmentReport, JourneyReport, merged_alignment, unestimated_report
 from estimation.track.settings import SectionParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
@@ -106,15 +106,15 @@ def estimate_section(
     grouped: Grouped = journeys(passes, parameters.positions)
     panel = Panel.of(parameters.panel, measured)
     if not grouped:
-        return SectionEstimate(None, nothing(Reason(ReasonCode.NO_PASS, "no pass"), named), grouped, {})
+        return SectionEstimate(None, unestimated_report(Reason(ReasonCode.NO_PASS, "no pass"), named), grouped, {})
     known = None if prior is None else prior_on_grid(prior, panel.grid, parameters.panel.cutoff_wavelength)
     reason = _too_few_passes(grouped, panel) if known is None or not known.has_alignment else None
     if reason is not None:
-        return SectionEstimate(None, nothing(reason, named), grouped, {})
+        return SectionEstimate(None, unestimated_report(reason, named), grouped, {})
     accepted = _reject_outliers(grouped, known, panel, parameters)
     iterated = with_slope(accepted.iterated, known, parameters.iteration.most_weight)
     report = _report(replace(accepted, iterated=iterated), grouped, known, parameters)
-    used = (evidence_of_measurement(one.name) for one in iterated.measured_curves)
+    used = (evidence_of_measurement(measured_curve.name) for measured_curve in iterated.measured_curves)
     report = replace(report, evidence=(*named, *used))
     if report.status is not Status.ESTIMATED:
         return SectionEstimate(None, report, grouped, {}, iterated)

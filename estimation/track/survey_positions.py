@@ -104,18 +104,18 @@ class _Vehicle:
     def of_one_size(self) -> bool:
         """Whether the survey is not far larger than what the passes have measured."""
         apart, own = 0.0, 0.0
-        for one in self.passes:
-            y = one.displacement[one.used]
-            rest, _ = _displaced(one, np.zeros(2), self.survey, self.grid)
-            apart, own = apart + float(rest[one.used] @ rest[one.used]), own + float(y @ y)
+        for window_pass in self.passes:
+            y = window_pass.displacement[window_pass.used]
+            rest, _ = _displaced(window_pass, np.zeros(2), self.survey, self.grid)
+            apart, own = apart + float(rest[window_pass.used] @ rest[window_pass.used]), own + float(y @ y)
         return apart <= self.parameters.most_apart**2 * own
 
     def moves(self) -> FloatArray | None:
         """Return by how much each journey is to be moved (j, 2): offset, m, and scale; None where that is not found."""
         p = self.parameters
         counts = np.zeros(self.journeys)
-        for one in self.passes:
-            counts[one.journey] += float(one.used.sum())
+        for window_pass in self.passes:
+            counts[window_pass.journey] += float(window_pass.used.sum())
         known = counts >= p.least_points
         moves = np.zeros((self.journeys, 2))
         if not known.any():
@@ -127,7 +127,7 @@ class _Vehicle:
             largest = float(np.max(np.abs(steps[:, 0]), initial=0.0))
             moves = moves + steps * min(1.0, p.largest_step / max(largest, p.largest_step))
             if largest < p.tolerance:
-                middles = [(one, float(np.mean(one.at)) - 0.5 * self.grid.length) for one in self.passes]
+                middles = [(item, float(np.mean(item.at)) - 0.5 * self.grid.length) for item in self.passes]
                 moved = [moves[one.journey] @ [1.0, middle] for one, middle in middles]
                 return moves if float(np.max(np.abs(moved), initial=0.0)) <= p.farthest else None
         return None
@@ -135,7 +135,7 @@ class _Vehicle:
     def _steps(self, moves: FloatArray) -> FloatArray:
         p = self.parameters
         k, curves = len(p.knots), len(p.knots) * self.lives
-        moved = [_displaced(one, moves[one.journey], self.survey, self.grid) for one in self.passes]
+        moved = [_displaced(item, moves[item.journey], self.survey, self.grid) for item in self.passes]
         columns = [
             high_pass(basis_functions(np.clip(x, p.knots[0], p.knots[-1]), p.knots), self.kernel)[:, one.used]
             for one, (x, _) in zip(self.passes, moved, strict=True)

@@ -71,7 +71,7 @@ class SurveyBands:
     @property
     def survey_std(self) -> float:
         """Std that the passes show of the survey, m."""
-        return float(np.sqrt(np.median(total_variance([one.survey_variance for one in self.bands]))))
+        return float(np.sqrt(np.median(total_variance([band.survey_variance for band in self.bands]))))
 
     def coherent_std(self, longest: float) -> float:
         """Return the rms, m, of what followed the motion at wavelengths up to ``longest`` m."""
@@ -230,7 +230,7 @@ def _coherent(
     # it is regressed on displacement and curves and on what both are a quarter of a wave later; as far as that explains
     # more than chance, it is the passes' error
     signals = [passes.displacement[number], passes.curves[number]]
-    design = np.stack([part for one in signals for part in (one, np.gradient(one))])
+    design = np.stack([part for signal in signals for part in (signal, np.gradient(signal))])
     inside = design[:, compared]
     size = np.maximum(np.sqrt(np.mean(inside**2, axis=1)), 1e-30)
     normal = (inside / size[:, None]) @ (inside / size[:, None]).T
@@ -312,7 +312,7 @@ def survey_posterior(
         gauge_deviation_std=gauge_std,
         passes=np.rint(passes).astype(np.int64),
     )
-    d = bands.long_waves + np.sum([one.posterior for one in bands.bands], axis=0)
+    d = bands.long_waves + np.sum([band.posterior for band in bands.bands], axis=0)
     positions = [one for one in position_std(iterated).values() if np.isfinite(one)]
     of_positions = np.abs(np.gradient(d, grid.step)) * (float(np.median(positions)) if positions else 0.0)
     std = np.hypot(bands.posterior_std(STATED), of_positions)
@@ -337,7 +337,7 @@ def _scale_std(bands: SurveyBands, iterated: IterationResult, survey: TrackAlign
     independent = max(np.count_nonzero(bands.compared) * iterated.panel.grid.step / p.survey_error_length, 1.0)
     of_survey = bands.survey_std / max(bands.curves, 1e-9) / np.sqrt(independent)
     both = of_passes * of_survey / float(np.hypot(of_passes, of_survey))
-    weights = np.array([np.mean(one.passes[bands.compared] ** 2) for one in bands.bands])
-    share = np.array([np.mean(one.share[bands.compared]) for one in bands.bands])
+    weights = np.array([np.mean(band.passes[bands.compared] ** 2) for band in bands.bands])
+    share = np.array([np.mean(band.share[bands.compared]) for band in bands.bands])
     of_all = float(weights @ share / weights.sum()) if weights.sum() > 0.0 else 0.0
     return float(np.hypot(of_all * both, (1.0 - of_all) * survey.scale_std))

@@ -53,7 +53,7 @@ def fit_survey(iterated: IterationResult, survey: PriorAlignment) -> SurveyFit |
         return None
     state, last = iterated.state, iterated.panel.grid.points - 1
     if not (covered | ~passed).all():
-        kept = [replace(one, inside=one.inside & covered[np.clip(one.points, 0, last)]) for one in iterated.passes]
+        kept = [replace(item, inside=item.inside & covered[np.clip(item.points, 0, last)]) for item in iterated.passes]
         state = update(init(iterated.panel), kept)
     sums = _Sums.of(state, survey.alignment)
     present = np.flatnonzero(sums.square > 0.0)

@@ -217,7 +217,7 @@ def _with_survey(epoch: _Epoch, survey: TrackAlignment, *, survey_checked: bool)
         return _refused(epoch, weighed, survey, verdict)
     if verdict.contradicted:
         outcomes = tuple(
-            replace(one, status=PassStatus.REFUSED, reason=verdict.reason) for one in epoch.screened.outcomes
+            replace(outcome, status=PassStatus.REFUSED, reason=verdict.reason) for outcome in epoch.screened.outcomes
         )
         report = replace(weighed.estimate.report, status=Status.UNESTIMATED, reason=verdict.reason)
         nowhere = replace(weighed.estimate, report=report, grouped={}, corrections={})

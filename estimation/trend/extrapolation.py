@@ -80,7 +80,7 @@ def conicity_at_limit_amplitude(geometry: WheelsetGeometry) -> Estimate:
 
 def below_limit(geometry: WheelsetGeometry) -> list[KnownConicity]:
     """Return the conicities that are known at smaller amplitudes than the limit's, increasing."""
-    return [one for one in known_conicities(geometry) if one.amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE]
+    return [point for point in known_conicities(geometry) if point.amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE]
 
 
 def extrapolated_from(amplitude: float) -> Reason:
@@ -105,22 +105,22 @@ def _of_design_pairs(known: tuple[KnownConicity, ...]) -> Extrapolation | None:
     return _extrapolated(known, worn_family())
 
 
-def _extrapolated(known: tuple[KnownConicity, ...], family: WornFamily) -> Extrapolation | None:
-    largest = known[-1]
+def _extrapolated(points: tuple[KnownConicity, ...], family: WornFamily) -> Extrapolation | None:
+    largest = points[-1]
     if largest.amplitude < CURVES.least_amplitude - SAME_AMPLITUDE:
         return None
-    shown = [largest, *_below(known, family.amplitude[0])]
-    if len(shown) == 1:
+    used = [largest, *_below(points, family.amplitude[0])]
+    if len(used) == 1:
         return None
     # level and differences (n, n) of the conicities at falling amplitudes (n,)
-    steps = -np.eye(len(shown)) + np.eye(len(shown), k=-1)
+    steps = -np.eye(len(used)) + np.eye(len(used), k=-1)
     steps[0, 0] = 1.0
-    members = np.stack([_at(family, one.amplitude) for one in shown], axis=1)
-    error = (members - [one.value for one in shown]) @ steps.T
-    covariance = steps @ _covariance(shown) @ steps.T
+    members = np.stack([_at(family, point.amplitude) for point in used], axis=1)
+    error = (members - [point.value for point in used]) @ steps.T
+    covariance = steps @ _covariance(used) @ steps.T
     # by how much level and slopes of a member may differ
     alike = max(CURVES.least_alike_difference, CURVES.alike_share * largest.value) * np.array(
-        [1.0] + [CURVES.slope_alike_share] * (len(shown) - 1)
+        [1.0] + [CURVES.slope_alike_share] * (len(used) - 1)
     )
     weighed = _alike(error, covariance, alike, _stopped(family, largest.amplitude, members[:, 0]))
     if weighed is None:
@@ -134,11 +134,11 @@ def _extrapolated(known: tuple[KnownConicity, ...], family: WornFamily) -> Extra
     return result if result.std <= CURVES.largest_conicity_std and result.value > 0.0 else None
 
 
-def _below(known: Sequence[KnownConicity], least: float) -> list[KnownConicity]:
-    lower = [one for one in known[:-1] if one.amplitude >= least - SAME_AMPLITUDE]
-    wanted = [known[-1].amplitude - below for below in CURVES.shape_distances] if lower else []
-    nearest = {min(lower, key=lambda one: abs(one.amplitude - amplitude)) for amplitude in wanted}
-    return sorted(nearest, key=lambda one: -one.amplitude)
+def _below(points: Sequence[KnownConicity], least: float) -> list[KnownConicity]:
+    lower = [point for point in points[:-1] if point.amplitude >= least - SAME_AMPLITUDE]
+    wanted = [points[-1].amplitude - below for below in CURVES.shape_distances] if lower else []
+    nearest = {min(lower, key=lambda point: abs(point.amplitude - amplitude)) for amplitude in wanted}
+    return sorted(nearest, key=lambda point: -point.amplitude)
 
 
 def _at(family: WornFamily, amplitude: float) -> FloatArray:

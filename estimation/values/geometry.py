@@ -385,7 +385,7 @@ def result_of_geometry(record: GeometryRecord) -> Result[WheelsetGeometry]:
             "to_ns": record.to_ns,
             "windows": geometry.windows,
             "track_versions": {section: list(versions) for section, versions in record.track_versions.items()},
-            "conicities": [list(one) for one in known_conicities(geometry)],
+            "conicities": [list(point) for point in known_conicities(geometry)],
             "no_conicity": None if why is None else [why.code.value, why.text],
         },
         parameters=record.parameters,

@@ -94,7 +94,7 @@ class Mounting:
 
 def mounting_of(mountings: Iterable[Mounting], axle: int, at_ns: int) -> Mounting | None:
     """Return which of the mountings on a vehicle was at an axle at a time of its clock; None where there was none."""
-    return next((one for one in mountings if one.axle == axle and one.covers(at_ns)), None)
+    return next((mounting for mounting in mountings if mounting.axle == axle and mounting.covers(at_ns)), None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -292,17 +292,17 @@ class WithoutEstimate:
 
     def count(self, state: WindowState) -> int:
         """Return how many of the counted windows have a state."""
-        return sum(one.windows for one in self.windows if one.state is state)
+        return sum(count.windows for count in self.windows if count.state is state)
 
     @property
     def counted(self) -> int:
         """How many windows were counted."""
-        return sum(one.windows for one in self.windows)
+        return sum(count.windows for count in self.windows)
 
 
 def remedies(reasons: Sequence[Reason | None]) -> str:
     """Return what to do about some reasons, each remedy once, in their order."""
-    return " ".join(dict.fromkeys(one.code.remedy for one in reasons if one is not None and one.code.remedy))
+    return " ".join(dict.fromkeys(r.code.remedy for r in reasons if r is not None and r.code.remedy))
 
 
 def fast_enough(speed: FloatArray | float, least_m_s: float) -> BoolArray:

@@ -107,14 +107,14 @@ def turning_plan(
 ) -> list[PlanLine]:
     """Return the plan, the earliest visit first; what cannot be assessed comes last."""
     lines: list[PlanLine] = []
-    ordered = sorted(candidates, key=lambda one: (one.vehicle, one.axle))
-    for _, of_vehicle in groupby(ordered, key=lambda one: one.vehicle):
+    ordered = sorted(candidates, key=lambda candidate: (candidate.vehicle, candidate.axle))
+    for _, of_vehicle in groupby(ordered, key=lambda candidate: candidate.vehicle):
         wheelsets = list(of_vehicle)
-        radii = {one.serial: one.radii.wheels for one in wheelsets if one.radii is not None}
+        radii = {wheelset.serial: wheelset.radii.wheels for wheelset in wheelsets if wheelset.radii is not None}
         turned: set[str] = set()
         number = 0
         for turn_by_ns, due in _visits(wheelsets, now_ns, horizon_ns, together_ns):
-            still_due = [one for one in due if one.serial not in turned]  # the others have a new profile by then
+            still_due = [item for item in due if item.serial not in turned]  # the others have a new profile by then
             if not still_due:
                 continue
             number += 1
@@ -136,18 +136,18 @@ def _visits(
     wheelsets: Sequence[Candidate], now_ns: int, horizon_ns: int, together_ns: int
 ) -> list[tuple[int, list[Candidate]]]:
     due = [
-        (now_ns if one.over_limit else max(one.due_ns or now_ns, now_ns), one)
-        for one in wheelsets
-        if one.over_limit or one.due_ns is not None
+        (now_ns if wheelset.over_limit else max(wheelset.due_ns or now_ns, now_ns), wheelset)
+        for wheelset in wheelsets
+        if wheelset.over_limit or wheelset.due_ns is not None
     ]
     visits: list[tuple[int, list[Candidate]]] = []
-    for turn_by_ns, one in sorted(due, key=lambda pair: (pair[0], pair[1].axle)):
+    for turn_by_ns, candidate in sorted(due, key=lambda pair: (pair[0], pair[1].axle)):
         if turn_by_ns > now_ns + horizon_ns:
             continue
         if visits and turn_by_ns <= visits[-1][0] + together_ns:
-            visits[-1][1].append(one)
+            visits[-1][1].append(candidate)
         else:
-            visits.append((turn_by_ns, [one]))
+            visits.append((turn_by_ns, [candidate]))
     return visits
 
 
@@ -163,47 +163,47 @@ class _Visit:
     chosen: dict[str, tuple[Cause, str]] = field(default_factory=dict)
 
     def lines(self, wheelsets: Sequence[Candidate]) -> list[PlanLine]:
-        """Return who is turned."""
-        for one in self.due:
-            self.chosen[one.serial] = (Cause.DUE, one.reason)
-            self._turn(one, None)
-        while (found := next(self._too_different(wheelsets), None)) is not None:
-            larger, target, why = found
+        """Return the wheelsets that are turned."""
+        for candidate in self.due:
+            self.chosen[candidate.serial] = (Cause.DUE, candidate.reason)
+            self._turn(candidate, None)
+        while (too_different := next(self._too_different(wheelsets), None)) is not None:
+            larger, target, why = too_different
             self.chosen.setdefault(larger.serial, (Cause.TOGETHER, why))
             self._turn(larger, target)
-        return [self._line(one) for one in wheelsets if one.serial in self.chosen]
+        return [self._line(wheelset) for wheelset in wheelsets if wheelset.serial in self.chosen]
 
-    def _turn(self, one: Candidate, target: float | None) -> None:
+    def _turn(self, candidate: Candidate, target: float | None) -> None:
         """Take off what a turning takes off, and down to a target; a wheelset that becomes too small is replaced."""
-        wheels = self.radii.get(one.serial)
+        wheels = self.radii.get(candidate.serial)
         cut = self.limits.cut
         if wheels is None or (cut is None and target is None):
             return
-        first = cut is not None and wheels == (one.radii.wheels if one.radii is not None else None)
+        first = cut is not None and wheels == (candidate.radii.wheels if candidate.radii is not None else None)
         after = min(wheels) - (cut if first and cut is not None else 0.0)
         after = after if target is None else min(after, target)
         least = self.limits.minimum_radius
-        known = dict(self.radii)
+        radii = dict(self.radii)
         if least is not None and after < least - TOLERANCE:
             why = f"cannot be turned: {after * IN_MM:.1f} mm of radius would be left, {least * IN_MM:.1f} mm needed"
-            self.chosen[one.serial] = (Cause.REPLACE, f"{self.chosen[one.serial][1]}; {why}")
-            del known[one.serial]  # that of its successor is not known
+            self.chosen[candidate.serial] = (Cause.REPLACE, f"{self.chosen[candidate.serial][1]}; {why}")
+            del radii[candidate.serial]  # that of its successor is not known
         else:
-            known[one.serial] = (after,) * len(wheels)
-        self.radii = known
+            radii[candidate.serial] = (after,) * len(wheels)
+        self.radii = radii
 
     def _too_different(self, wheelsets: Sequence[Candidate]) -> Iterator[tuple[Candidate, float, str]]:
         """Yield wheelsets that are too large beside another, or on one side: down to which radius, and why."""
-        known = [one for one in wheelsets if one.serial in self.radii]
-        for one in known:
-            yield from self._pair(one, one, self.limits.axle_difference, "left and right differ")
-            for other in known:
-                if other.serial == one.serial:
+        with_radii = [wheelset for wheelset in wheelsets if wheelset.serial in self.radii]
+        for larger in with_radii:
+            yield from self._pair(larger, larger, self.limits.axle_difference, "left and right differ")
+            for smaller in with_radii:
+                if smaller.serial == larger.serial:
                     continue
-                why = f"turned together with axle {other.axle}, because the diameters would differ"
-                if one.bogie is not None and one.bogie == other.bogie:
-                    yield from self._pair(one, other, self.limits.bogie_difference, why)
-                yield from self._pair(one, other, self.limits.vehicle_difference, why)
+                why = f"turned together with axle {smaller.axle}, because the diameters would differ"
+                if larger.bogie is not None and larger.bogie == smaller.bogie:
+                    yield from self._pair(larger, smaller, self.limits.bogie_difference, why)
+                yield from self._pair(larger, smaller, self.limits.vehicle_difference, why)
 
     def _pair(
         self, larger: Candidate, smaller: Candidate, limit: float | None, why: str
@@ -216,23 +216,23 @@ class _Visit:
             text = f"{why} by {difference * IN_MM:.1f} mm > {limit * IN_MM:g} mm"
             yield larger, least + 0.5 * limit, text
 
-    def _line(self, one: Candidate) -> PlanLine:
-        cause, reason = self.chosen[one.serial]
-        after = self.radii.get(one.serial)
+    def _line(self, candidate: Candidate) -> PlanLine:
+        cause, reason = self.chosen[candidate.serial]
+        after = self.radii.get(candidate.serial)
         return PlanLine(
-            candidate=one,
+            candidate=candidate,
             cause=cause,
             visit=self.number,
             turn_by_ns=self.turn_by_ns,
             reason=reason,
-            radius_after=None if after is None or after == (one.radii and one.radii.wheels) else after[0],
-            not_checked=not_checked(one, self.limits),
+            radius_after=None if after is None or after == (candidate.radii and candidate.radii.wheels) else after[0],
+            not_checked=not_checked(candidate, self.limits),
         )
 
 
-def not_checked(one: Candidate, limits: DiameterLimits) -> tuple[str, ...]:
+def not_checked(candidate: Candidate, limits: DiameterLimits) -> tuple[str, ...]:
     """Return what could not be held against a wheelset, and why."""
-    if one.radii is None:
+    if candidate.radii is None:
         return ("no measured radius on file: diameters were not checked",)
     missing = []
     if limits.cut is None:
@@ -245,8 +245,8 @@ def not_checked(one: Candidate, limits: DiameterLimits) -> tuple[str, ...]:
     ):
         if limit is None:
             missing.append(f"no limit given: {name}")
-    if limits.axle_difference is not None and one.radii.right is None:
+    if limits.axle_difference is not None and candidate.radii.right is None:
         missing.append("left and right radius are not distinguished")
-    if limits.bogie_difference is not None and one.bogie is None:
+    if limits.bogie_difference is not None and candidate.bogie is None:
         missing.append("its bogie is not known")
     return tuple(missing)

@@ -48,13 +48,13 @@ def true(cutoff_wavelength: float) -> FloatArray:
 
 
 def error(found: LongWaveAlignment, cutoff_wavelength: float) -> float:
-    seen = found.passes == found.passes.max()
+    seen = found.weight == found.weight.max()
     return float((found.alignment - true(cutoff_wavelength))[seen].std())
 
 
 def test_waves_that_the_panel_has_lost_come_back() -> None:
     found = long_wave_alignment(measured(), solved(), PANEL, 120.0)
-    seen = found.passes == 9
+    seen = found.weight == 9
     lost = float((np.nan_to_num(solved().alignment) - true(120.0))[seen].std())
     assert seen.mean() > 0.75  # twice the reach of a filter of 120 m is lost at each end
     assert error(found, 120.0) < 0.05 * true(120.0)[seen].std()
@@ -70,7 +70,7 @@ def test_the_std_of_a_pass_is_the_scatter_of_the_passes() -> None:
 
 def test_at_the_cut_off_of_the_panel_it_is_the_alignment_of_the_panel() -> None:
     found = long_wave_alignment(measured(), solved(), PANEL, PANEL.grid.cutoff_wavelength)
-    seen = (found.passes == 9) & np.isfinite(solved().alignment)
+    seen = (found.weight == 9) & np.isfinite(solved().alignment)
     np.testing.assert_allclose(found.alignment[seen], solved().alignment[seen], atol=1e-6)
 
 
@@ -81,7 +81,7 @@ def test_passes_of_wheelsets_without_curve_and_short_ones_say_nothing() -> None:
         some[0], at=some[0].at[:80], displacement=some[0].displacement[:80], difference=some[0].difference[:80]
     )
     found = long_wave_alignment(gridded([stranger, short]), solved(), PANEL, 120.0)
-    assert not found.passes.any()
+    assert not found.weight.any()
     assert not found.alignment.any()
     both = long_wave_alignment(gridded([*some, stranger, short]), solved(), PANEL, 120.0)
     np.testing.assert_array_equal(both.alignment, long_wave_alignment(gridded(some), solved(), PANEL, 120.0).alignment)

@@ -72,22 +72,22 @@ class SuspensionChangeRule(AlertRule):
 
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
         """Return the finding of the vehicle; None at its other wheelsets, or where nothing is known nor open."""
-        # an open alert of which too little is known is withdrawn: what it was raised on has been corrected since
+        # without a newest change an open alert is withdrawn: the data that raised it have been corrected since
         shown = facts.suspension
         if shown is None:
             return None
         if shown.newest is None:
-            own = (alert for alert in facts.open_alerts if alert.kind == self.kind)
-            return next((restated(alert, breached=None, cleared=None, stands=False) for alert in own), None)
-        found = suspension_change_finding(self, facts.wheelset.serial, shown.newest)
-        return replace(found, stands=shown.stands, since_ns=shown.since_ns)
+            of_kind = (alert for alert in facts.open_alerts if alert.kind == self.kind)
+            return next((restated(alert, breached=None, cleared=None, stands=False) for alert in of_kind), None)
+        finding = suspension_change_finding(self, facts.wheelset.serial, shown.newest)
+        return replace(finding, stands=shown.stands, since_ns=shown.since_ns)
 
 
-def suspension_change_finding(rule: SuspensionChangeRule, wheelset: str, found: SuspensionChange) -> Finding:
+def suspension_change_finding(rule: SuspensionChangeRule, wheelset: str, change: SuspensionChange) -> Finding:
     """Return the finding of a change; the alert stands at the wheelset."""
-    over = _beyond(found, rule.raise_change)
-    over_clear = _beyond(found, rule.clear_change)
-    sudden = found.step_probability is not None and _beyond(found, rule.raise_step) >= rule.raise_probability
+    over = _beyond(change, rule.raise_change)
+    over_clear = _beyond(change, rule.clear_change)
+    sudden = change.step_probability is not None and _beyond(change, rule.raise_step) >= rule.raise_probability
     breached = sudden or over >= rule.raise_probability
     return Finding(
         wheelset=wheelset,
@@ -96,24 +96,24 @@ def suspension_change_finding(rule: SuspensionChangeRule, wheelset: str, found: 
         cleared=not breached and 1.0 - over_clear >= rule.clear_probability,
         probability=number_evidence(over, 3),
         evidence=SuspensionChangeEvidence(
-            vehicle=found.vehicle,
-            change=with_interval(found.change, found.std, count=float(found.recent)),
-            past_findings=found.past,
-            recent_findings=found.recent,
-            other_vehicles=found.others,
-            step_probability=number_evidence(found.step_probability, 3),
-            step_ns=found.since_ns,
+            vehicle=change.vehicle,
+            change=with_interval(change.change, change.std, count=float(change.recent)),
+            past_findings=change.past,
+            recent_findings=change.recent,
+            other_vehicles=change.others,
+            step_probability=number_evidence(change.step_probability, 3),
+            step_ns=change.since_ns,
             limit=rule.raise_change,
         ).stored(),
         action="check_yaw_suspension",
         raise_limit=rule.raise_change,
         clear_limit=rule.clear_change,
-        measured_ns=found.recent_ns,
+        measured_ns=change.recent_ns,
     )
 
 
-def _beyond(found: SuspensionChange, limit: float) -> float:
-    return float(ndtr((found.change - limit) / found.std) + ndtr((-found.change - limit) / found.std))
+def _beyond(change: SuspensionChange, limit: float) -> float:
+    return float(ndtr((change.change - limit) / change.std) + ndtr((-change.change - limit) / change.std))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,47 +152,47 @@ class WeakDamperRule(AlertRule):
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
         """Return the finding of the running gear that begins at the wheelset; None at others, or before its mounting.
 
-        What was measured before the wheelset was mounted has raised what it has to raise at the one before.
+        Data from before the mounting have raised their alerts at the wheelset before it.
         """
-        found, mounting = facts.damper, facts.wheelset.mounting
-        if found is None or mounting is None or found.to_ns < mounting.from_ns:
+        damper, mounting = facts.damper, facts.wheelset.mounting
+        if damper is None or mounting is None or damper.to_ns < mounting.from_ns:
             return None
-        return weak_damper_finding(self, facts.wheelset.serial, found)
+        return weak_damper_finding(self, facts.wheelset.serial, damper)
 
 
-def weak_damper_finding(rule: WeakDamperRule, wheelset: str, found: GearDamper) -> Finding:
+def weak_damper_finding(rule: WeakDamperRule, wheelset: str, damper: GearDamper) -> Finding:
     """Return the finding of a damper; the alert stands at the wheelset."""
-    few = too_few_windows(found.windows, rule.minimum_windows)
-    weak, not_whole = _below(found, rule.raise_share), _below(found, rule.clear_share)
-    known = few is None and weak is not None and not_whole is not None
-    because = None if known else (found.share.reason or few)
+    too_few = too_few_windows(damper.windows, rule.minimum_windows)
+    weak, not_whole = _below(damper, rule.raise_share), _below(damper, rule.clear_share)
+    decided = too_few is None and weak is not None and not_whole is not None
+    unknown = None if decided else (damper.share.reason or too_few)
     return Finding(
         wheelset=wheelset,
         kind=WeakDamperRule.kind,
-        breached=weak >= rule.raise_probability if known and weak is not None else None,
-        cleared=1.0 - not_whole >= rule.clear_probability if known and not_whole is not None else None,
+        breached=weak >= rule.raise_probability if decided and weak is not None else None,
+        cleared=1.0 - not_whole >= rule.clear_probability if decided and not_whole is not None else None,
         probability=number_evidence(weak, 3),
         evidence=WeakDamperEvidence(
-            vehicle=found.vehicle,
-            first_axle=found.first_axle,
-            share=found.share,
-            windows=found.windows,
-            from_ns=found.from_ns,
-            to_ns=found.to_ns,
+            vehicle=damper.vehicle,
+            first_axle=damper.first_axle,
+            share=damper.share,
+            windows=damper.windows,
+            from_ns=damper.from_ns,
+            to_ns=damper.to_ns,
             limit=rule.raise_share,
-            unknown=because,
+            unknown=unknown,
         ).stored(),
         action="check_lateral_damper",
         raise_limit=rule.raise_share,
         clear_limit=rule.clear_share,
-        measured_ns=found.to_ns,
+        measured_ns=damper.to_ns,
     )
 
 
-def _below(found: GearDamper, limit: float) -> float | None:
+def _below(damper: GearDamper, limit: float) -> float | None:
     """Return the probability that less than a share is left; None where the share is not known."""
     # the std follows from the upper end of the interval, because the lower end is cut off at 0
-    value, high = found.share.value, found.share.high
+    value, high = damper.share.value, damper.share.high
     if value is None or high is None or not high > value:
         return None
     return float(ndtr((limit - value) * NORMAL_95 / (high - value)))
@@ -232,15 +232,15 @@ class HuntingRule(WindowsRule):
 
     def find_in(self, windows: Sequence[WindowRecord], facts: WheelsetFacts) -> Finding:
         """Return the finding on hunting."""
-        found = [window for window in windows if self.is_suspect(window, facts)]
-        unknown = None if found else too_few_windows(len(windows), self.minimum_windows)
+        hunting = [window for window in windows if self.is_suspect(window, facts)]
+        unknown = None if hunting else too_few_windows(len(windows), self.minimum_windows)
         return Finding(
             wheelset=facts.wheelset.serial,
             kind=self.kind,
-            breached=None if unknown else len(found) >= self.raise_windows,
-            cleared=None if unknown else not found,
-            severity=Severity.CRITICAL if len(found) >= self.critical_windows else Severity.WARNING,
-            evidence=_hunting_evidence(found, len(windows), unknown).stored(),
+            breached=None if unknown else len(hunting) >= self.raise_windows,
+            cleared=None if unknown else not hunting,
+            severity=Severity.CRITICAL if len(hunting) >= self.critical_windows else Severity.WARNING,
+            evidence=_hunting_evidence(hunting, len(windows), unknown).stored(),
             action="check_yaw_dampers_and_profiles",
             raise_limit=float(self.raise_windows),
             clear_limit=0.0,
@@ -252,19 +252,19 @@ class HuntingRule(WindowsRule):
         return window.quality.hunting.share >= self.hunting_share and window.quality.hunting.share > 0.0
 
 
-def _hunting_evidence(found: Sequence[WindowRecord], windows: int, unknown: Reason | None) -> HuntingEvidence:
-    if not found:
+def _hunting_evidence(hunting: Sequence[WindowRecord], windows: int, unknown: Reason | None) -> HuntingEvidence:
+    if not hunting:
         return HuntingEvidence(hunting_windows=0, windows=windows, unknown=unknown)
-    frequency = float(np.median([w.quality.hunting.frequency_hz for w in found]))
-    speed = [0.5 * (w.quality.speed_min_m_s + w.quality.speed_max_m_s) for w in found]
-    lengths = [v / w.quality.hunting.frequency_hz for v, w in zip(speed, found, strict=True)]
+    frequency = float(np.median([w.quality.hunting.frequency_hz for w in hunting]))
+    speed = [0.5 * (w.quality.speed_min_m_s + w.quality.speed_max_m_s) for w in hunting]
+    lengths = [v / w.quality.hunting.frequency_hz for v, w in zip(speed, hunting, strict=True)]
     return HuntingEvidence(
-        hunting_windows=len(found),
+        hunting_windows=len(hunting),
         windows=windows,
         frequency_hz=number_evidence(frequency, 3),
         wavelength_m=number_evidence(float(np.median(lengths)), 2),
-        amplitude_mm=number_evidence(max(1e3 * w.quality.hunting.amplitude for w in found), 2),
-        speed_max_m_s=number_evidence(max(w.quality.speed_max_m_s for w in found), 3),
+        amplitude_mm=number_evidence(max(1e3 * w.quality.hunting.amplitude for w in hunting), 2),
+        speed_max_m_s=number_evidence(max(w.quality.speed_max_m_s for w in hunting), 3),
         unknown=unknown,
     )
 
@@ -308,40 +308,40 @@ class LowAdhesionRule(AlertRule):
     pooled_hours: Hours = 6.0
 
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - friction is no fact of a wheelset
-        """Return None: ``section_finding`` is what the rule finds, of a section."""
+        """Return None: the finding is of a section, see ``section_finding``."""
         return None
 
 
-def section_finding(rule: LowAdhesionRule, found: SectionAdhesion) -> Finding:
-    """Return what the rule finds in the newest friction of a section; its ``wheelset`` is empty."""
-    stretches = found.low_stretches
+def section_finding(rule: LowAdhesionRule, adhesion: SectionAdhesion) -> Finding:
+    """Return the finding on the newest friction of a section; its ``wheelset`` is empty."""
+    stretches = adhesion.low_stretches
     low = [
         cell
-        for cell in found.cells
+        for cell in adhesion.cells
         if cell.friction.value is not None and any(a <= cell.from_m and cell.to_m <= b for a, b in stretches)
     ]
     worst = max(low, key=lambda cell: cell.low_probability, default=None)
     evidence = LowAdhesionEvidence(
-        track_section=found.track_section,
-        stretches=tuple(Stretch(from_m=begin, to_m=end) for begin, end in found.low_stretches),
+        track_section=adhesion.track_section,
+        stretches=tuple(Stretch(from_m=begin, to_m=end) for begin, end in adhesion.low_stretches),
         friction=None if worst is None else worst.friction,
         passes=None if worst is None else worst.passes,
-        windows=found.windows,
-        from_ns=found.from_ns,
-        to_ns=found.to_ns,
+        windows=adhesion.windows,
+        from_ns=adhesion.from_ns,
+        to_ns=adhesion.to_ns,
         limit=rule.raise_friction,
     )
     return Finding(
         wheelset="",
         kind=LowAdhesionRule.kind,
-        breached=bool(found.low_stretches),
-        cleared=not found.low_stretches,
+        breached=bool(adhesion.low_stretches),
+        cleared=not adhesion.low_stretches,
         probability=None if worst is None else round(worst.low_probability, 3),
         evidence=evidence.stored(),
         action="inspect_rail_surface",
         raise_limit=rule.raise_friction,
         clear_limit=rule.raise_friction,
-        measured_ns=found.to_ns,
-        stands=bool(found.low_stretches),
-        since_ns=found.to_ns,
+        measured_ns=adhesion.to_ns,
+        stands=bool(adhesion.low_stretches),
+        since_ns=adhesion.to_ns,
     )

@@ -116,8 +116,8 @@ def unregistered_change_finding(
         intervals_before=step.before,
         intervals_behind=step.behind,
         causes=tuple(
-            ExplainedBy(cause=one.cause, share=number_evidence(one.share, 2), left=number_evidence(one.left, 2))
-            for one in causes
+            ExplainedBy(cause=cause.cause, share=number_evidence(cause.share, 2), left=number_evidence(cause.left, 2))
+            for cause in causes
         ),
         reason=_sentence(step, size, causes),
     )
@@ -137,7 +137,7 @@ def unregistered_change_finding(
 
 
 def _sentence(step: TrendStep, size: float, causes: tuple[StepExplanation, ...]) -> str:
-    which = " or ".join(_WORDS[one.cause] for one in causes if one.share >= FINDINGS.named_probability)
+    which = " or ".join(_WORDS[cause.cause] for cause in causes if cause.share >= FINDINGS.named_probability)
     changed = f"the conicity has {'risen' if size > 0.0 else 'fallen'} by {abs(size):.2f} at {step.after_km:,.0f} km"
     look = "look at the wheels, and register what happened" if size > 0.0 else "register what happened"
     return f"{changed}, which no event on file explains: {which}; {look}"
@@ -199,7 +199,7 @@ def _sensor(step: TrendStep, others: Sequence[TrendStep | None]) -> tuple[float,
     """Return density and what is left where a sensor has another scale: wheelsets of one node change by one factor."""
     after = max(step.level_before + (step.size.value or 0.0), FINDINGS.own_std)
     scale = _log_scale(step)
-    together = [one for one in others if one is not None and _together(step, one)]
+    together = [other for other in others if other is not None and _together(step, other)]
     density, left = _normal(scale, FINDINGS.sensor_scale_std)
     if not together:
         alone = FINDINGS.lone_sensor_share if others else 1.0

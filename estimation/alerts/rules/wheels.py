@@ -92,7 +92,7 @@ class WheelFlatRule(WindowShareRule):
 
     def counts_from_ns(self, facts: WheelsetFacts) -> int | None:
         """Return when the wheels were last turned."""
-        return max((one.at_ns for one in facts.wheelset.reprofilings), default=None)
+        return max((reprofiling.at_ns for reprofiling in facts.wheelset.reprofilings), default=None)
 
 
 def strikes(window: WindowRecord, turn_m: float) -> bool:
@@ -145,7 +145,7 @@ class WheelAsymmetryRule(AlertRule):
         if facts.geometry is None:
             return None
         if not facts.intervals:
-            raised = (_names(one.evidence.get("raised_by")) for one in facts.open_alerts if one.kind == self.kind)
+            raised = (_names(a.evidence.get("raised_by")) for a in facts.open_alerts if a.kind == self.kind)
             now = self._of(facts, facts.geometry, next(raised, []), facts.not_assessable_reason)
             return replace(now, mileage_km=facts.geometry.mileage_km)
         standing, blamed = Standing(), list[str]()

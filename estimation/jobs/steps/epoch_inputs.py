@@ -79,7 +79,7 @@ class FileLookup:
             for _, mileage_km, digest in found.measured
             if abs(mileage_km - record.mileage_km) <= self.settings.alignment.measured_km
         ]
-        turned = any(one.covers(record.start_ns) for one in found.mountings if one.reversed)
+        turned = any(mounting.covers(record.start_ns) for mounting in found.mountings if mounting.reversed)
         text = f"{self.life(record)!r} {turned} {near!r} {record.axle} {found.assumed}"
         return EpochMember(record, found.digest, _digest(text))
 

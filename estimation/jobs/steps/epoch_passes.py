@@ -105,7 +105,6 @@ def _together(groups: Iterable[Sequence[Entry]]) -> Iterator[list[Sequence[Entry
 
 
 def _runs(context: JobContext, groups: Sequence[Sequence[Entry]], on_file: RunsOnFile) -> list[_Run]:
-    """Read the samples of runs."""
     records = [record for group in groups for record, _ in group]
     settings = context.settings.estimation
     with context.storage.read() as unit:
@@ -146,7 +145,7 @@ def _loaded(
 ) -> Window | Reason:
     """Return the part of a window that is examined, or why there is none; whatever fails, the other windows go on."""
     try:
-        window = loader.load(record, assumed.windows.vehicle_class)
+        window = loader.load(record, assumed.window_parameters.vehicle_class)
         return window if isinstance(window, Reason) else straight_part(window, layout, settings.signals)
     except Exception as error:
         if not fails_alone(error):
@@ -158,14 +157,14 @@ def _passes_of(group: Sequence[Window], assumed: Assumed, *, mounted_reversed: b
     """Return the passes of windows that are one run; where that fails, of each alone."""
     serials = tuple((window.wheelset, window.start_ns) for window in group)
     try:
-        passes, reason = examine(joined(group), assumed.windows, mounted_reversed=mounted_reversed)
+        passes, reason = examine(joined(group), assumed.window_parameters, mounted_reversed=mounted_reversed)
     except Exception as error:
         if not fails_alone(error):
             raise
         if len(group) == 1:
             _log.exception("window %s@%d could not be examined", *serials[0])
             return [(serials, (), Reason(code_of_error(error), first_line(error)))]
-        return [one for w in group for one in _passes_of([w], assumed, mounted_reversed=mounted_reversed)]
+        return [item for w in group for item in _passes_of([w], assumed, mounted_reversed=mounted_reversed)]
     return [(serials, passes, reason)]
 
 

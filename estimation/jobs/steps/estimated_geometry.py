@@ -51,7 +51,7 @@ class EstimatedWith:
     @property
     def bins(self) -> BinParameters:
         """Of the bin tables."""
-        return bin_parameters(self.assumed.windows)
+        return bin_parameters(self.assumed.window_parameters)
 
     @property
     def geometry(self) -> GeometryParameters:
@@ -73,7 +73,7 @@ class EstimatedWith:
         return {
             **replace(self.settings, geometry=self.geometry).as_json(),
             "vehicle_class": of_class,
-            "vehicle": asdict(self.assumed.windows.vehicle),
+            "vehicle": asdict(self.assumed.window_parameters.vehicle),
         }
 
 
@@ -136,7 +136,7 @@ class RadiusOnFile:
         same = (assumed.digest, *(f"{start_ns} {digest}" for digest, start_ns in chosen if start_ns in found))
         if same not in self._checked:
             parts = [part for start_ns in sorted(found) for part in found[start_ns]]
-            of_class = assumed.windows.vehicle_class
+            of_class = assumed.window_parameters.vehicle_class
             radius, std = of_class.parameters.nominal_radius, of_class.std_of("nominal_radius")
             measured = "nominal_radius" in of_class.relative_std
             self._checked[same] = check_radius(parts, radius, std, measured=measured)
@@ -161,14 +161,14 @@ class RadiusOnFile:
         return found
 
     def _of_samples(self, start_ns: int, assumed: Assumed) -> tuple[RollingSums, ...] | None:
-        record, vehicle_class = self.unit.windows.get(self.wheelset, start_ns), assumed.windows.vehicle_class
+        record, made_with = self.unit.windows.get(self.wheelset, start_ns), assumed.window_parameters
         if record is None:
             return None
         try:
-            window = load_window(self.unit, record, vehicle_class)
+            window = load_window(self.unit, record, made_with.vehicle_class)
         except (NotFoundError, DamagedError):
             return None  # its table remains
-        return None if isinstance(window, Reason) else rolling_sums(window, vehicle_class, assumed.windows.signals)
+        return None if isinstance(window, Reason) else rolling_sums(window, made_with.vehicle_class, made_with.signals)
 
 
 def stated(found: Contradiction | None) -> Mapping[str, JsonValue]:

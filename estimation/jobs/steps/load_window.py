@@ -295,14 +295,14 @@ def certain_stretches(unit: UnitOfWork, section: str, starts: Sequence[int]) -> 
     """Return the stretches of certainly low friction of a section at some times."""
     hours = unit.adhesion.during(section, min(starts), max(starts)) if starts else ()
     return {
-        start_ns: next((one.certain_stretches for one in hours if one.from_ns <= start_ns <= one.to_ns), ())
+        start_ns: next((hour.certain_stretches for hour in hours if hour.from_ns <= start_ns <= hour.to_ns), ())
         for start_ns in starts
     }
 
 
 def _partner_key(mountings: Sequence[Mounting], record: WindowRecord, assumed: Assumed | Reason) -> WindowKey | None:
     """Return the key that the window on the other axle of the bogie has; None without one."""
-    axle = None if isinstance(assumed, Reason) else assumed.windows.vehicle_class.partner(record.axle)
+    axle = None if isinstance(assumed, Reason) else assumed.window_parameters.vehicle_class.partner(record.axle)
     mounting = None if axle is None else mounting_of(mountings, axle, record.start_ns)
     return None if mounting is None else (mounting.wheelset, record.start_ns)
 
@@ -352,7 +352,7 @@ def _window(loader: WindowLoader, record: WindowRecord, assumed: Assumed | Reaso
     if isinstance(assumed, Reason):
         return assumed
     try:
-        return loader.load(record, assumed.windows.vehicle_class)
+        return loader.load(record, assumed.window_parameters.vehicle_class)
     except DamagedError as error:
         return Reason(ReasonCode.FILE_DAMAGED, str(error))  # names the file; the other windows go on
 

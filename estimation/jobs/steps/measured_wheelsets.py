@@ -11,7 +11,7 @@ from estimation.accuracy.fleet_accuracy import Comparison, baseline_at, compared
 from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import ContactError, DamagedError, ProfileError
-from estimation.jobs.steps.assumptions import ClassLookup, last_change
+from estimation.jobs.steps.assumptions import ClassLookup, last_break
 from estimation.storage import UnitOfWork
 from estimation.track.panel.basis import MeasuredCurve, measured_curve
 from estimation.track.passes import ProfileLife
@@ -106,19 +106,19 @@ class ComparisonReader:
         if not measurements:
             return []
         intervals = self.unit.geometries.intervals(wheelset.serial)
-        change = last_change(self.unit, wheelset)
+        change = last_break(self.unit, wheelset)
         known = self.unit.registry.measured_profiles(wheelset.serial)
         found = []
-        for one in measurements:
-            estimate = estimate_of_date(one, wheelset, intervals, self.interval_km, change)
-            wheels = WheelPair(one.left, one.right, wheelset.nominal_radius_m, one.std)
+        for measurement in measurements:
+            estimate = estimate_of_date(measurement, wheelset, intervals, self.interval_km, change)
+            wheels = WheelPair(measurement.left, measurement.right, wheelset.nominal_radius_m, measurement.std)
             contact = self.contact(wheels, self.rails(wheelset.serial, estimate.record))
             independent = None
             if estimate.record is not None:
-                baseline = baseline_at(wheelset, one.at_ns)
+                baseline = baseline_at(wheelset, measurement.at_ns)
                 same = [item for item in known if baseline_at(wheelset, item.at_ns) == baseline]
                 independent = not rests_on(self.unit, estimate.record, same)
-            found.append(compared(one, contact, estimate, independent=independent))
+            found.append(compared(measurement, contact, estimate, independent=independent))
         return found
 
     def rails(self, serial: str, record: GeometryRecord | None) -> tuple[RailShare, ...]:
@@ -126,13 +126,13 @@ class ComparisonReader:
 
         Without an estimate those of the newest window's section, or those of all sections where these are alike.
         """
-        sections = {one.code: one for one in self.unit.tracks.sections()}
+        sections = {section.code: section for section in self.unit.tracks.sections()}
         if record is not None:
             windows = self.unit.windows.list(serial, record.from_ns, record.to_ns)
             used = [
-                one.track_section
-                for one in windows
-                if one.state is WindowState.ESTIMATED and one.track_section in record.track_versions
+                window.track_section
+                for window in windows
+                if window.state is WindowState.ESTIMATED and window.track_section in record.track_versions
             ]
             count = Counter(sections[code] for code in used or record.track_versions if code in sections)
         else:
@@ -145,7 +145,7 @@ class ComparisonReader:
 
 def rests_on(unit: UnitOfWork, record: GeometryRecord, measurements: Sequence[MeasuredProfiles]) -> bool:
     """Return whether an estimate was made on an alignment for which one of some measurements was evidence."""
-    named = {evidence_of_measurement(measurement_name(one)) for one in measurements}
+    named = {evidence_of_measurement(measurement_name(measurement)) for measurement in measurements}
     return any(_any_evidence(unit, section, versions, named) for section, versions in record.track_versions.items())
 
 

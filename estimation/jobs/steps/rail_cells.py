@@ -82,8 +82,8 @@ def wheelset_cells(unit: UnitOfWork, serials: Sequence[str], context: JobContext
     as they are; where its geometry is refused by now they are not used, until it is not any more.
     """
     stored: dict[str, list[StoredCell]] = {serial: [] for serial in serials}
-    for one in unit.rails.cells(serials):
-        stored[one.wheel.wheelset].append(one)
+    for cell in unit.rails.cells(serials):
+        stored[cell.wheel.wheelset].append(cell)
     classes = ClassLookup(unit, context.settings.estimation)
     classes.look_up(serials)
     return {
@@ -94,7 +94,7 @@ def wheelset_cells(unit: UnitOfWork, serials: Sequence[str], context: JobContext
 def _of_wheelset(
     unit: UnitOfWork, rules: Membership, cells: Sequence[StoredCell], context: JobContext
 ) -> WheelsetCells:
-    stored = {(one.wheel, one.rail): one for one in cells}
+    stored = {(cell.wheel, cell.rail): cell for cell in cells}
     intervals = unit.geometries.interval_digests(rules.wheelset)
     reader = _CellReader(unit, rules, context)
     found = WheelsetCells()
@@ -111,7 +111,7 @@ def _of_wheelset(
             found = replace(found, moved=(*found.moved, *changed))
             continue
         digest = reader.interval_digest(part, refused)
-        there = [one for one in cells if one.wheel == wheel]
+        there = [cell for cell in cells if cell.wheel == wheel]
         if there and all(one.interval_digest == digest and not one.damaged for one in there):
             seen |= {(one.wheel, one.rail) for one in there}
             continue
@@ -193,7 +193,7 @@ class _CellReader:
         )
 
     def _windows(self, cell: StoredCell, own: Sequence[Member], assumed: Assumed) -> CellWindows:
-        bins, settings = bin_parameters(assumed.windows), self.context.settings.estimation
+        bins, settings = bin_parameters(assumed.window_parameters), self.context.settings.estimation
         starts = [one.start_ns for one in own]
         table = merge_all((cells for _, cells in self.unit.tables.cells_of(cell.wheel.wheelset, starts)), bins)
         versions = sorted({one.window.track_version for one in own if one.window.track_version is not None})

@@ -120,9 +120,9 @@ def read_ahead(unit: UnitOfWork, some: Sequence[Membership]) -> None:
     )
 
 
-def read_sums_ahead(unit: UnitOfWork, some: Sequence[tuple[str, Rolled]]) -> None:
-    """Read together the sums and tables of roll-ups of wheelsets to which windows are added, if they are not many."""
-    changed = [(name, part) for name, found in some for part in found.parts if part.added]
+def read_sums_ahead(unit: UnitOfWork, by_wheelset: Sequence[tuple[str, Rolled]]) -> None:
+    """Read the sums and tables of roll-ups that windows are added to together, if they are not many."""
+    changed = [(name, part) for name, of_wheelset in by_wheelset for part in of_wheelset.parts if part.added]
     numbers = [p.roll_up.number for _, p in changed if p.roll_up.number is not None and not p.afresh]
     keys = [(name, member.start_ns) for name, part in changed for member in part.added]
     if len(numbers) <= WORK.sums_in_memory:
@@ -133,28 +133,29 @@ def read_sums_ahead(unit: UnitOfWork, some: Sequence[tuple[str, Rolled]]) -> Non
 
 
 def _same_rules(state: RollUpState, rules: Membership) -> bool:
-    known = {vehicle: rules.class_of(vehicle) for vehicle in state.classes}
-    return state.rules == rules.digest and state.classes == known
+    classes = {vehicle: rules.table_key_and_class(vehicle) for vehicle in state.classes}
+    return state.rules == rules.digest and state.classes == classes
 
 
 def _state(rules: Membership, runs: Sequence[Run], before: Mapping[str, str]) -> RollUpState:
     vehicles = {window.record.vehicle for window, _ in runs}
-    return RollUpState(rules.digest, {**before, **{vehicle: rules.class_of(vehicle) for vehicle in vehicles}})
+    classes = {vehicle: rules.table_key_and_class(vehicle) for vehicle in vehicles}
+    return RollUpState(rules.digest, {**before, **classes})
 
 
 def _continued(
     unit: UnitOfWork, rules: Membership, state: RollUpState, stored: Sequence[RollUp], due: Mapping[int, int]
 ) -> Rolled:
-    """Return the roll-ups with the due windows, and with those whose mileage is another by these."""
-    runs = list(_changed(unit, rules, [one for one in stored if one.sealed], due))
+    """Return the roll-ups with the due windows, and with those whose mileage these change."""
+    runs = list(_changed(unit, rules, [roll_up for roll_up in stored if roll_up.sealed], due))
     mileages = {window.start_ns: mileage_km for window, mileage_km in runs}
     touched, new = sorted({*due, *mileages}), _members(rules, runs)
     again: dict[RollUpKey, list[Member]] = {}
-    for one in stored:
-        before_last = one.key in new and new[one.key][0].start_ns <= one.last_ns
-        if not one.sealed and (before_last or _is_touched(one, touched)):
-            again[one.key] = _standing(unit, rules, one, due.keys() | mileages.keys())
-    parts = _summed({one.key: Part(one, before=one.content) for one in stored}, new, again)
+    for roll_up in stored:
+        before_last = roll_up.key in new and new[roll_up.key][0].start_ns <= roll_up.last_ns
+        if not roll_up.sealed and (before_last or _is_touched(roll_up, touched)):
+            again[roll_up.key] = _standing(unit, rules, roll_up, due.keys() | mileages.keys())
+    parts = _summed({roll_up.key: Part(roll_up, before=roll_up.content) for roll_up in stored}, new, again)
     added_to_sealed = any(part.roll_up.sealed and part.added for part in parts)
     return Rolled(
         _state(rules, runs, state.classes),
@@ -167,33 +168,32 @@ def _continued(
 
 
 def _made_again(unit: UnitOfWork, rules: Membership, stored: Sequence[RollUp], due: Mapping[int, int]) -> Rolled:
-    """Return the roll-ups by rules that have changed, from all tables that are there.
+    """Return the roll-ups by changed rules, from all tables that are there.
 
-    Those stay as they are that are sealed, or of a former class or parameters and with windows that cannot be estimated
-    again.
+    Unchanged stay those that are sealed, and those of a former class or parameters whose windows are purged.
     """
     windows = unit.tables.tabled(rules.wheelset)
-    purged = [one for one in windows if one.samples_purged]
+    purged = [window for window in windows if window.samples_purged]
     fixed = [one for one in stored if rules.assumed(one) is None and any(_is_in(one, window) for window in purged)]
-    stay = {one.number: one for one in (*fixed, *(one for one in stored if one.sealed))}
-    sealed = [one for one in stay.values() if one.sealed]
+    stay = {roll_up.number: roll_up for roll_up in (*fixed, *(old for old in stored if old.sealed))}
+    sealed = [roll_up for roll_up in stay.values() if roll_up.sealed]
     held = _kept(list(stay.values()), rules)
     standing: set[int] = set()
     again: dict[RollUpKey, list[Member]] = {}
     for key, part in held.items():
         if not part.roll_up.sealed:
-            own = [one for one in windows if _is_in(stay[part.roll_up.number], one) and one.start_ns not in due]
-            again[key] = [rules.member(one, one.running_km, key) for one in own if one.running_km is not None]
-            standing |= {one.start_ns for one in own}
-    of_baselines = groupby(windows, key=lambda one: rules.baseline_of(one.start_ns))
+            kept_windows = [w for w in windows if _is_in(stay[part.roll_up.number], w) and w.start_ns not in due]
+            again[key] = [rules.member(w, w.running_km, key) for w in kept_windows if w.running_km is not None]
+            standing |= {window.start_ns for window in kept_windows}
+    of_baselines = groupby(windows, key=lambda window: rules.baseline_of(window.start_ns))
     runs = [
         (window, mileage_km)
         for baseline, group in of_baselines
         for window, mileage_km, _ in _Mileages(baseline, sealed).of(list(group), None)
     ]
-    for one in stored:
-        if one.number not in stay and one.key not in held:
-            held[one.key], again[one.key] = Part(one, before=one.content), []
+    for roll_up in stored:
+        if roll_up.number not in stay and roll_up.key not in held:
+            held[roll_up.key], again[roll_up.key] = Part(roll_up, before=roll_up.content), []
     parts = _summed(held, _members(rules, [run for run in runs if run[0].start_ns not in standing]), again)
     kept = {part.roll_up.number for part in parts if part.roll_up.windows}
     return Rolled(
@@ -207,15 +207,15 @@ def _made_again(unit: UnitOfWork, rules: Membership, stored: Sequence[RollUp], d
 
 
 def _kept(stay: Sequence[RollUp], rules: Membership) -> dict[RollUpKey, Part]:
-    """Return roll-ups that stay as they are by the key of their place now; where that is taken, by one of their own."""
-    found: dict[RollUpKey, Part] = {}
-    for one in stay:
-        table_key, place = _table_key(one), rules.place_of(one)
-        key = None if place is None else RollUpKey(*place, table_key, one.key.vehicle_class)
-        if key is None or key in found:
-            key = replace(one.key, table_key=f"{table_key}{APART}{one.number}")
-        found[key] = Part(replace(one, key=key), before=one.content, moved=key != one.key)
-    return found
+    """Return unchanged roll-ups by the key of their present place or, where that is taken, by a key of their own."""
+    by_key: dict[RollUpKey, Part] = {}
+    for roll_up in stay:
+        table_key, place = _table_key(roll_up), rules.place_of(roll_up)
+        key = None if place is None else RollUpKey(*place, table_key, roll_up.key.vehicle_class)
+        if key is None or key in by_key:
+            key = replace(roll_up.key, table_key=f"{table_key}{APART}{roll_up.number}")
+        by_key[key] = Part(replace(roll_up, key=key), before=roll_up.content, moved=key != roll_up.key)
+    return by_key
 
 
 def _table_key(roll_up: RollUp) -> str:
@@ -257,9 +257,9 @@ class _Mileages:
     def __init__(self, baseline: Baseline, sealed: Iterable[RollUp]) -> None:
         self.baseline = baseline
         end_ns = math.inf if baseline.to_ns is None else baseline.to_ns
-        own = (one for one in sealed if baseline.from_ns <= one.last_ns < end_ns)
-        self._sealed = sorted(own, key=lambda one: one.last_ns)
-        self._ends = [one.last_ns for one in self._sealed]
+        of_baseline = (roll_up for roll_up in sealed if baseline.from_ns <= roll_up.last_ns < end_ns)
+        self._sealed = sorted(of_baseline, key=lambda roll_up: roll_up.last_ns)
+        self._ends = [roll_up.last_ns for roll_up in self._sealed]
 
     def before(self, unit: UnitOfWork, wheelset: str, start_ns: int) -> Odometer | None:
         """Return where the odometer stands before a time; None where there is no earlier reading."""
@@ -297,12 +297,12 @@ class _Mileages:
 
 def _members(rules: Membership, runs: Iterable[Run]) -> dict[RollUpKey, list[Member]]:
     """Return windows by the key of their roll-up; those that belong to none are left out."""
-    found: defaultdict[RollUpKey, list[Member]] = defaultdict(list)
+    by_key: defaultdict[RollUpKey, list[Member]] = defaultdict(list)
     for window, mileage_km in runs:
         key = rules.key_of(window, mileage_km)
         if key is not None:
-            found[key].append(rules.member(window, mileage_km, key))
-    return dict(found)
+            by_key[key].append(rules.member(window, mileage_km, key))
+    return dict(by_key)
 
 
 def _is_touched(roll_up: RollUp, touched: Sequence[int]) -> bool:
@@ -325,9 +325,9 @@ def _standing(unit: UnitOfWork, rules: Membership, roll_up: RollUp, touched: Col
     """Return the windows that a stored roll-up has and keeps, oldest first."""
     windows = unit.tables.tabled(rules.wheelset, roll_up.first_ns, roll_up.last_ns + 1)
     return [
-        rules.member(one, one.running_km, roll_up.key)
-        for one in windows
-        if one.running_km is not None and _is_in(roll_up, one) and one.start_ns not in touched
+        rules.member(window, window.running_km, roll_up.key)
+        for window in windows
+        if window.running_km is not None and _is_in(roll_up, window) and window.start_ns not in touched
     ]
 
 
@@ -336,12 +336,12 @@ def _summed(
     new: Mapping[RollUpKey, Sequence[Member]],
     again: Mapping[RollUpKey, Sequence[Member]],
 ) -> list[Part]:
-    """Return stored roll-ups with what is new, by key; of those to be summed again the windows that they keep."""
+    """Return the stored roll-ups with new windows, by key; those in ``again`` are summed again."""
     parts = []
     for key in sorted([*held, *(key for key in new if key not in held)]):
         part, added = held.get(key) or Part(RollUp(key), afresh=True), new.get(key, ())
         if key in again:
-            parts.append(_of_members(part, sorted([*again[key], *added], key=lambda one: one.start_ns)))
+            parts.append(_of_members(part, sorted([*again[key], *added], key=lambda member: member.start_ns)))
         else:
             parts.append(replace(part, roll_up=with_members(part.roll_up, added), added=tuple(added)))
     return parts
@@ -360,9 +360,9 @@ def _of_members(part: Part, members: Sequence[Member]) -> Part:
 
 def members(unit: UnitOfWork, rules: Membership, part: Part) -> list[Member]:
     """Return the windows of a roll-up that still have tables, oldest first."""
-    added = {one.start_ns for one in part.added}
+    added = {member.start_ns for member in part.added}
     before = [] if part.afresh else _standing(unit, rules, part.roll_up, added)
-    return sorted([*before, *part.added], key=lambda one: one.start_ns)
+    return sorted([*before, *part.added], key=lambda member: member.start_ns)
 
 
 def sums(unit: UnitOfWork, wheelset: str, part: Part) -> tuple[BinTable, BinTable]:
@@ -372,7 +372,7 @@ def sums(unit: UnitOfWork, wheelset: str, part: Part) -> tuple[BinTable, BinTabl
     if stored is not None and not part.added:
         return stored
     totals = None if stored is None else (TableSum(stored[0]), TableSum(stored[1]))
-    weights = {one.start_ns: one.forgetting for one in part.added}
+    weights = {member.start_ns: member.forgetting for member in part.added}
     for start_ns, cells in unit.tables.cells_of(wheelset, list(weights)):
         if totals is None:
             nothing = cells.table().without_samples

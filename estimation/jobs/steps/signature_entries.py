@@ -13,7 +13,7 @@ from estimation.accuracy.wheel_contact import AMPLITUDES, RailShare, WheelPair, 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
 from estimation.jobs.parameters import JOBS
-from estimation.jobs.steps.assumptions import Baseline, ClassLookup, baselines, suspected
+from estimation.jobs.steps.assumptions import Baseline, ClassLookup, baselines, with_identity_alerts
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, extrapolated
@@ -51,7 +51,7 @@ class Entries:
 
 @dataclass(frozen=True, slots=True)
 class EntryReader:
-    """Finds what the fleet knows of wheelsets, as one transaction sees it."""
+    """Reads what the fleet knows of wheelsets, in one transaction."""
 
     unit: UnitOfWork
     classes: ClassLookup
@@ -73,7 +73,7 @@ class EntryReader:
 
     def entries(self, known: Sequence[KnownSignatures]) -> Entries:
         """Return the library entries that signatures make, the newest of each wheelset, place and band of speed."""
-        doubted, left_out = frozenset(suspected(self.unit)), Counter[ReasonCode]()
+        doubted, left_out = frozenset(with_identity_alerts(self.unit)), Counter[ReasonCode]()
         newest: dict[tuple[str, int, Place, int], LibraryEntry] = {}
         for one in known:
             wheelset = one.found.wheelset
@@ -108,7 +108,7 @@ class EntryReader:
 
     def baseline_at(self, wheelset: str, at_ns: int) -> Baseline:
         """Return the life of a wheelset's profile at a time."""
-        return next(one for one in reversed(self.lives(wheelset)) if one.from_ns <= max(at_ns, 0))
+        return next(life for life in reversed(self.lives(wheelset)) if life.from_ns <= max(at_ns, 0))
 
     def lives(self, wheelset: str) -> Sequence[Baseline]:
         """Return the lives of a wheelset's profile, oldest first."""
@@ -119,8 +119,8 @@ class EntryReader:
     def sharing(self, one: KnownSignatures) -> tuple[str, ...]:
         """Return the wheelsets whose samples are in a window's signatures: its own, and the other of its bogie."""
         found, on_file = one.found, self.classes.of_vehicle(one.found.vehicle)
-        own = (one for one in self.unit.registry.mountings(found.wheelset) if one.vehicle == found.vehicle)
-        mounting = next((one for one in own if one.covers(found.start_ns)), None)
+        there = (m for m in self.unit.registry.mountings(found.wheelset) if m.vehicle == found.vehicle)
+        mounting = next((mounting for mounting in there if mounting.covers(found.start_ns)), None)
         if isinstance(on_file, Reason) or mounting is None:
             return (found.wheelset,)
         partner = on_file.vehicle_class.partner(mounting.axle)
@@ -138,7 +138,7 @@ class EntryReader:
         if place is None:
             return None
         if not self._sections:
-            self._sections.update({found.code: found for found in self.unit.tracks.sections()})
+            self._sections.update({section.code: section for section in self.unit.tracks.sections()})
         return self._sections.get(place.section)
 
     def _label(
@@ -151,7 +151,7 @@ class EntryReader:
         far_km = self.parameters.most_mileage_km
         labels = self._estimates(one.found.wheelset, baseline)
         near = [label.at(one.mileage_km) for label in labels if abs(label.mileage_km - one.mileage_km) <= far_km]
-        best = min(near, key=lambda known: known[1], default=None)
+        best = min(near, key=lambda label: label[1], default=None)
         if best is not None and best[1] <= self.parameters.most_std:
             return (*best, ConicitySource.GEOMETRY)
         return ReasonCode.WHEELSET_TURNED if turned else ReasonCode.NO_CONICITY
@@ -166,9 +166,9 @@ class EntryReader:
         same = [item for item in near if self.baseline_at(wheelset, item.at_ns).number == baseline]
         rails = RailShare(section.rail_profile, section.rail_inclination, section.nominal_gauge_m, 1.0)
         for item in sorted(same, key=lambda item: abs(item.mileage_km - one.mileage_km)):
-            found = self._contact(item, self.classes.wheelset(wheelset), rails)
-            if found is not None:
-                return _Label(item.mileage_km, *found).at(one.mileage_km), False
+            contact = self._contact(item, self.classes.wheelset(wheelset), rails)
+            if contact is not None:
+                return _Label(item.mileage_km, *contact).at(one.mileage_km), False
         return None, len(near) > len(same)
 
     def _contact(
@@ -179,11 +179,11 @@ class EntryReader:
             pair = WheelPair(item.left, item.right, wheelset.nominal_radius_m, item.std)
             contact = wheel_contact(pair, [rails])
             conicity = None if isinstance(contact, Reason) else contact.conicity[AT_LIMIT]
-            known = None
+            usable = None
             if conicity is not None and conicity.value is not None and conicity.std is not None:
                 std = max(conicity.std, self.parameters.least_std)
-                known = (conicity.value, std) if std <= self.parameters.most_std else None
-            self._contacts[key] = known
+                usable = (conicity.value, std) if std <= self.parameters.most_std else None
+            self._contacts[key] = usable
         return self._contacts[key]
 
     def _estimates(self, wheelset: str, baseline: int) -> Sequence[_Label]:
@@ -191,11 +191,11 @@ class EntryReader:
         key = (wheelset, baseline)
         if key not in self._labels:
             records = list(self.unit.geometries.conicities(wheelset, baseline))
-            whole = (one for one in self.unit.geometries.baselines(wheelset) if one.baseline == baseline)
-            records += [interval_conicities(one) for one in whole]
-            found = [(record.mileage_km, at_limit(record.known)) for record in records if record.windows]
+            current = (record for record in self.unit.geometries.baselines(wheelset) if record.baseline == baseline)
+            records += [interval_conicities(record) for record in current]
+            at_limits = [(record.mileage_km, at_limit(record.known)) for record in records if record.windows]
             self._labels[key] = [
-                _Label(km, *both) for km, both in found if both is not None and both[1] <= self.parameters.most_std
+                _Label(km, *both) for km, both in at_limits if both is not None and both[1] <= self.parameters.most_std
             ]
         return self._labels[key]
 
@@ -206,9 +206,9 @@ def at_limit(known: Sequence[KnownConicity]) -> tuple[float, float] | None:
     Args:
         known: Of one interval, in the order of their amplitudes.
     """
-    for one in known:
-        if abs(one.amplitude - LIMIT_AMPLITUDE) < SAME_AMPLITUDE:
-            return one.value, one.std
-    below = [one for one in known if one.amplitude < LIMIT_AMPLITUDE]
-    found = extrapolated(below) if below else None
-    return None if found is None else (found.value, found.std)
+    for point in known:
+        if abs(point.amplitude - LIMIT_AMPLITUDE) < SAME_AMPLITUDE:
+            return point.value, point.std
+    below = [point for point in known if point.amplitude < LIMIT_AMPLITUDE]
+    estimate = extrapolated(below) if below else None
+    return None if estimate is None else (estimate.value, estimate.std)

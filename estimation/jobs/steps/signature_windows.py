@@ -62,7 +62,7 @@ class _Expected:
     @classmethod
     def of(cls, unit: UnitOfWork, context: JobContext) -> _Expected:
         versions = {code: standing.layout for code, standing in unit.tracks.standings().items()}
-        layouts = {one.code: versions.get(one.code) for one in unit.tracks.sections()}
+        layouts = {section.code: versions.get(section.code) for section in unit.tracks.sections()}
         return cls(ClassLookup(unit, context.settings.estimation), layouts, context.settings.signatures)
 
     def digest(self, vehicle: str, wheelset: str) -> str:
@@ -112,7 +112,7 @@ def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> 
         without, window = "waiting_for_class", None
         if not isinstance(assumed, Reason):
             try:
-                without, window = "", loader.load(record, assumed.windows.vehicle_class)
+                without, window = "", loader.load(record, assumed.window_parameters.vehicle_class)
             except (DamagedError, PurgedError):
                 without = "damaged"
         inputs[text_of_key(*record.key)] = WindowInputs(
@@ -120,7 +120,7 @@ def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> 
             again=before is not None and not is_same and before.window_digest == record.content_digest,
             without=without,
             window=window,
-            made_with=None if isinstance(assumed, Reason) else assumed.windows,
+            made_with=None if isinstance(assumed, Reason) else assumed.window_parameters,
             layout=None if record.track_section is None else unit.tracks.layout(record.track_section),
             parameters=context.settings.signatures,
         )

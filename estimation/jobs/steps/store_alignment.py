@@ -240,11 +240,9 @@ def classes_of(classes: ClassLookup, records: Sequence[WindowRecord]) -> dict[st
 
 
 def _provenance(classes: Mapping[str, ClassOnFile]) -> JsonValue:
-    """Return version and digest of each class, by code."""
-    by_code = {one.vehicle_class.code: one for one in classes.values()}
+    by_code = {on_file.vehicle_class.code: on_file for on_file in classes.values()}
     return {code: {"version": one.version, "digest": one.digest} for code, one in sorted(by_code.items())}
 
 
 def _counted(reasons: Sequence[str]) -> JsonValue:
-    """Return how often each reason occurs."""
     return {reason: reasons.count(reason) for reason in sorted(set(reasons))}

@@ -48,12 +48,13 @@ RESULTS = (TREND, IDENTITY_EVENT, SUSPENSION, GEAR_DAMPERS)
 def facts_of(unit: UnitOfWork, serials: Sequence[str], settings: JobSettings) -> Mapping[str, WheelsetFacts]:
     """Return what the rules need of some wheelsets, by serial: few statements for all."""
     read = _Read.of(unit, serials, settings)
-    histories = {one.serial: _history(read, one) for one in read.wheelsets}
+    histories = {wheelset.serial: _history(read, wheelset) for wheelset in read.wheelsets}
     wanted = {serial: _looked_at(known, read.books[serial]) for serial, known in histories.items() if known}
     spans = {serial: (known[0].baseline, *_span(known)) for serial, known in wanted.items()}
     unit.geometries.read_intervals(spans)
     return {
-        one.serial: _facts(unit, read, one, histories[one.serial], wanted.get(one.serial, ())) for one in read.wheelsets
+        wheelset.serial: _facts(unit, read, wheelset, histories[wheelset.serial], wanted.get(wheelset.serial, ()))
+        for wheelset in read.wheelsets
     }
 
 
@@ -85,10 +86,10 @@ class _Read:
     def of(cls, unit: UnitOfWork, serials: Sequence[str], settings: JobSettings) -> _Read:
         """Read what is stored of some wheelsets."""
         wheelsets = unit.registry.wheelsets_of(serials)
-        codes = sorted({one.mounting.vehicle for one in wheelsets if one.mounting is not None})
+        codes = sorted({wheelset.mounting.vehicle for wheelset in wheelsets if wheelset.mounting is not None})
         vehicles, mounted = unit.registry.vehicles_of(codes), _by(unit.registry.mounted_on(codes), lambda m: m.vehicle)
         places = {code: [mounting.wheelset for mounting in own] for code, own in mounted.items()}
-        books = {one.serial: _book(settings.rules, one, vehicles) for one in wheelsets}
+        books = {wheelset.serial: _book(settings.rules, wheelset, vehicles) for wheelset in wheelsets}
         unit.geometries.read_with(RESULTS, dict.fromkeys([*serials, *codes]))
         trends = unit.trends.of(serials)
         steps = _steps_beside(unit, wheelsets, places, trends)
@@ -101,7 +102,7 @@ class _Read:
             mounted=places,
             alerts=_by(unit.alerts.open_of(serials, IDENTITY), lambda alert: str(alert.wheelset)),
             geometries=unit.geometries.current_of(serials),
-            conicities=unit.geometries.conicities_of({one.serial: len(one.reprofilings) for one in wheelsets}),
+            conicities=unit.geometries.conicities_of({item.serial: len(item.reprofilings) for item in wheelsets}),
             trends=trends,
             steps=steps,
             rails=rails_of(unit.tracks.sections()) if steps else frozenset(),
@@ -109,7 +110,7 @@ class _Read:
             identities={one.subject: one.value for one in results.in_force(IDENTITY_EVENT, serials) if one.value},
             suspensions={one.subject: one.value for one in results.in_force(SUSPENSION, codes) if one.value},
             windows=_latest_windows(unit, books),
-            dampers={(one.vehicle, one.first_axle): one for one in unit.dampers.of_vehicles(codes)},
+            dampers={(damper.vehicle, damper.first_axle): damper for damper in unit.dampers.of_vehicles(codes)},
             measured=unit.registry.newest_measurement_of(serials),
             sensors_changed=unit.sensor_changes.newest(codes),
             rejected=unit.plausibility.rejected(codes),
@@ -135,7 +136,7 @@ def _steps_beside(
     trends: Mapping[str, TrendRecord],
 ) -> Mapping[str, Sequence[TrendStep | None]]:
     """Return the steps of the trends beside wheelsets whose own trend has a step, by serial."""
-    own = [one for one in wheelsets if step_of(trends.get(one.serial), one) is not None]
+    own = [wheelset for wheelset in wheelsets if step_of(trends.get(wheelset.serial), wheelset) is not None]
     beside = {
         one.serial: sorted(other for other in mounted[one.mounting.vehicle] if other != one.serial)
         for one in own
@@ -144,7 +145,7 @@ def _steps_beside(
     others = sorted({serial for serials in beside.values() for serial in serials})
     if not others:
         return dict.fromkeys(beside, ())
-    stored, on_file = unit.trends.of(others), {one.serial: one for one in unit.registry.wheelsets_of(others)}
+    stored, on_file = unit.trends.of(others), {item.serial: item for item in unit.registry.wheelsets_of(others)}
     return {
         one.serial: [
             step_of(stored[serial], on_file[serial])
@@ -162,7 +163,6 @@ def _facts(
     conicities: Sequence[IntervalConicities],
     looked_at: Sequence[IntervalConicities],
 ) -> WheelsetFacts:
-    """Return what the rules need of a wheelset."""
     serial, mounting, alerts = wheelset.serial, wheelset.mounting, tuple(read.alerts.get(wheelset.serial, ()))
     if mounting is None:
         return WheelsetFacts(
@@ -204,7 +204,7 @@ def _facts(
 
 def _profiles_measured_km(wheelset: WheelsetRecord, newest: tuple[int, float] | None) -> float | None:
     """Return the mileage at which the profiles were last measured; None if not since the last reprofiling."""
-    turned_ns = max((one.at_ns for one in wheelset.reprofilings), default=None)
+    turned_ns = max((reprofiling.at_ns for reprofiling in wheelset.reprofilings), default=None)
     return None if newest is None or (turned_ns is not None and newest[0] < turned_ns) else newest[1]
 
 
@@ -227,16 +227,16 @@ def _history(read: _Read, wheelset: WheelsetRecord) -> Sequence[IntervalConiciti
 def _looked_at(conicities: Sequence[IntervalConicities], book: RuleBook) -> Sequence[IntervalConicities]:
     """Return the newest intervals, as many as any rule looks at."""
     far_km = max(reach_km(rule.delays) for rule in book.rules)
-    return conicities[-within_reach([one.mileage_km for one in conicities], FINDINGS.look_back_intervals, far_km) :]
+    mileages = [conicity.mileage_km for conicity in conicities]
+    return conicities[-within_reach(mileages, FINDINGS.look_back_intervals, far_km) :]
 
 
 def _span(intervals: Sequence[IntervalConicities]) -> tuple[int, int]:
-    numbers = [one.interval for one in intervals if one.interval is not None]
+    numbers = [interval.interval for interval in intervals if interval.interval is not None]
     return min(numbers), max(numbers)
 
 
 def _geometries(unit: UnitOfWork, serial: str, wanted: Sequence[IntervalConicities]) -> Sequence[GeometryRecord]:
-    """Return the geometries of intervals."""
     if not wanted:
         return ()
     first, last = _span(wanted)

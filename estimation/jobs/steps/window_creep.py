@@ -35,8 +35,8 @@ class Gear:
     def forces(self, place: int) -> ContactForces | Reason:
         """Return the forces on the wheelset at a place of ``windows``."""
         if self._forces is None:
-            vehicle_class = self.assumed.windows.vehicle_class
-            segments = gear_segments(self.windows, vehicle_class, self.assumed.windows.signals)
+            vehicle_class = self.assumed.window_parameters.vehicle_class
+            segments = gear_segments(self.windows, vehicle_class, self.assumed.window_parameters.signals)
             if self.content_digest is not None:
                 first = min(self.windows, key=lambda window: window.axle)
                 self.damper = window_damper(first, self.content_digest, segments, self.assumed.on_file)
@@ -85,7 +85,7 @@ def creep_of_window(inputs: CreepInputs) -> CreepOfWindow:
     motion = window_motion(
         run.window,
         run.track,
-        run.assumed.windows,
+        run.assumed.window_parameters,
         run.position,
         mounted_reversed=run.own.mounted_reversed,
         layout=run.layout,
@@ -112,7 +112,7 @@ class _Batch:
     def __init__(self, unit: UnitOfWork, inputs: BatchInputs, classes: ClassLookup) -> None:
         self.unit, self.inputs, self.classes = unit, inputs, classes
         self.loader = WindowLoader(unit, inputs.records)
-        self.sections: Mapping[str, TrackSectionRecord] = {one.code: one for one in unit.tracks.sections()}
+        self.sections: Mapping[str, TrackSectionRecord] = {section.code: section for section in unit.tracks.sections()}
         self.gears: dict[tuple[WindowKey, ...], Gear | Reason] = {}
 
     def of(self, record: WindowRecord) -> CreepInputs:
@@ -133,7 +133,7 @@ class _Batch:
         geometry = self.unit.geometries.current(record.wheelset)
         if geometry is None or section is None:
             return Reason(ReasonCode.NO_CREEP_CURVE, f"wheelset {record.wheelset} has no geometry on a section yet")
-        window = self.loader.load(record, assumed.windows.vehicle_class)
+        window = self.loader.load(record, assumed.window_parameters.vehicle_class)
         if isinstance(window, Reason):
             return window
         if inputs.position is not None and inputs.position.reason is not None:
@@ -141,7 +141,7 @@ class _Batch:
         correction, turned = inputs.correction(record), inputs.mounted_reversed
         profile = self.classes.wheelset(record.wheelset).wheel_profile
         at = correction or Correction()
-        own = AdhesionInputs(assumed.windows, geometry.geometry, profile, section, turned, at)
+        own = AdhesionInputs(assumed.window_parameters, geometry.geometry, profile, section, turned, at)
         gear, place = self._gear(record, window, assumed)
         track, layout = self.inputs.alignment(record), self.inputs.layout(record)
         return Run(window, track, layout, correction, assumed, own, gear, place)
@@ -157,7 +157,7 @@ class _Batch:
 
     def _keys(self, record: WindowRecord, assumed: Assumed, *, backwards: bool) -> tuple[WindowKey, ...] | Reason:
         """Return the windows of the running gear of a window, the axle first that meets the track first."""
-        axle = assumed.windows.vehicle_class.partner(record.axle)
+        axle = assumed.window_parameters.vehicle_class.partner(record.axle)
         if axle is None:
             return (record.key,)
         mounting = self.unit.registry.mounting_at(record.vehicle, axle, record.start_ns)
@@ -172,7 +172,7 @@ class _Batch:
         for key in keys:
             one = window
             if key != (window.wheelset, window.start_ns):
-                found = self.loader.load(self.inputs.records[key], assumed.windows.vehicle_class)
+                found = self.loader.load(self.inputs.records[key], assumed.window_parameters.vehicle_class)
                 if isinstance(found, Reason):
                     return found
                 one = found
@@ -195,7 +195,7 @@ def friction_parameters(
 
     A vehicle whose class is not on file counts as one without stds of its own.
     """
-    codes = {unit.registry.vehicle(code).vehicle_class for code in {one.vehicle for one in passes}}
+    codes = {unit.registry.vehicle(code).vehicle_class for code in {window_pass.vehicle for window_pass in passes}}
     found = [unit.registry.vehicle_class(code) for code in sorted(codes)]
     file = FileErrors.of([one.vehicle_class for one in found if one is not None])
     return FrictionParameters(low=rule.raise_friction, likely=rule.raise_probability, file=file)

@@ -57,9 +57,9 @@ def gauge_step(
     assert panel.gauge is not None
     rows = [_linearised(item, curve, panel) for item, curve in solution.used(passes)]
     count, weight = np.zeros((2, panel.grid.points))
-    for one in rows:
-        count[one.points[one.inside]] += 1
-        weight[one.points[one.inside]] += one.root**2
+    for row in rows:
+        count[row.points[row.inside]] += 1
+        weight[row.points[row.inside]] += row.root**2
     share = np.where(count >= TRACK.fewest_place_passes, 1.0 / np.where(weight > 0.0, weight, 1.0), 0.0)
     reach = int(np.ceil(2 * prior.smooth / panel.grid.step))
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * panel.grid.step * 2.5 / prior.smooth) ** 2)
@@ -105,13 +105,13 @@ class _GaugeSystem:
             steps += 1
 
         operator = LinearOperator((n, n), matvec=lambda u: self._normal(u) + ridge * u, dtype=np.float64)
-        right = self._smoothed(self._adjoint(self._without_alignment([one.residual for one in self.rows])))
+        right = self._smoothed(self._adjoint(self._without_alignment([row.residual for row in self.rows])))
         u, failed = cg(operator, right, rtol=TRACK.cg_tolerance, atol=0.0, maxiter=TRACK.most_cg_steps, callback=count)
         return self._smoothed(np.asarray(u)), failed == 0, steps
 
     def _normal(self, u: FloatArray) -> FloatArray:
         gauge = self._smoothed(u)
-        rows = [np.where(one.inside, high_pass(one.slope * gauge[one.points], self.kernel), 0.0) for one in self.rows]
+        rows = [np.where(row.inside, high_pass(row.slope * gauge[row.points], self.kernel), 0.0) for row in self.rows]
         return self._smoothed(self._adjoint(self._without_alignment(rows)))
 
     def _smoothed(self, values: FloatArray) -> FloatArray:

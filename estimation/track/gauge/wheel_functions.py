@@ -147,7 +147,7 @@ def gauge_shift_of(wheels: WheelFunctions) -> GaugeShift:
 
 def remove_common_shift(shifts: Mapping[ProfileLife, GaugeShift]) -> dict[ProfileLife, GaugeShift]:
     """Return the shifts less their mean at R = 0: a shift of all wheelsets alike cannot be separated from the track."""
-    mean = np.mean([one.shift[len(DIFFERENCES) // 2] for one in shifts.values()], axis=0)
+    mean = np.mean([shift.shift[len(DIFFERENCES) // 2] for shift in shifts.values()], axis=0)
     return {name: replace(one, shift=one.shift - mean) for name, one in shifts.items()}
 
 

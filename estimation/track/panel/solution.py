@@ -102,9 +102,9 @@ def _sum_of(parts: Sequence[_Equations]) -> _Equations:
     if len(parts) == 1:
         return parts[0]
     normal, right = parts[0][0].copy(), parts[0][1].copy()
-    for one in parts[1:]:
-        normal += one[0]
-        right += one[1]
+    for part in parts[1:]:
+        normal += part[0]
+        right += part[1]
     return normal, right
 
 

@@ -116,9 +116,9 @@ def test_a_vehicle_of_no_class_is_a_mismatch() -> None:
     for windows in (heavier, delayed):
         found = gear_damper(windows, USUAL)
         assert (found.share.status, code_of(found)) == (Status.MODEL_MISMATCH, ReasonCode.DIVERGED)
-    kept = gear_damper(heavier, replace(USUAL, surest=1.0 - 1e-300))
+    kept = gear_damper(heavier, replace(USUAL, parameter_error_quantile=1.0 - 1e-300))
     assert code_of(kept) is not ReasonCode.DIVERGED
-    assert USUAL.surest == 0.99
+    assert USUAL.parameter_error_quantile == 0.99
 
 
 def test_a_share_beyond_the_particles_is_a_mismatch() -> None:

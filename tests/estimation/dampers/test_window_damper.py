@@ -154,7 +154,7 @@ def test_what_noise_adds_to_the_products_is_known() -> None:
         gear = gear_segments(windows_of(SOFT, 1.0, number, size=0.0), SOFT, SignalParameters())
         assert not isinstance(gear, Reason)
         for segment in gear.segments:
-            taken = damper._taken(segment, gear, filters.apart)
+            taken = damper._accelerations_and_count(segment, gear, filters.apart)
             assert taken is not None
             add_products(filters, taken[0], taken[1], taken[2], products)
             samples += int(taken[2].sum())

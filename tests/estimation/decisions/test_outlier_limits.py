@@ -13,7 +13,7 @@ from estimation.track.panel.basis import Panel, PanelParameters, init
 from estimation.track.panel.instrumental_slope import Ratio
 from estimation.track.panel.solution import PriorAlignment, result
 from estimation.track.passes import Pass, ProfileLife
-from estimation.track.results import LongWaveAlignment, _gauge_std, _scale_std, _std, nothing
+from estimation.track.results import LongWaveAlignment, _gauge_std, _scale_std, _std, unestimated_report
 from estimation.track.section import Residuals, _find_outliers, residuals
 from estimation.track.settings import AlignmentSettings, SectionParameters
 from estimation.values.quantities import Status
@@ -171,7 +171,7 @@ def test_the_largest_move_is_at_the_ends_of_a_journey() -> None:
 
 
 def test_a_report_of_nothing_claims_nothing() -> None:
-    report = nothing(Reason(ReasonCode.NO_PASS, "no pass"), ("survey version 1",))
+    report = unestimated_report(Reason(ReasonCode.NO_PASS, "no pass"), ("survey version 1",))
     assert report.status is Status.UNESTIMATED
     assert not report.converged
     assert (report.rounds, report.passes, report.wheelsets, report.covered) == (0, 0, 0, 0.0)

@@ -10,7 +10,7 @@ from test_survey_limits import D, N, track
 from test_version_limits import shift_of
 
 from estimation.track.parameters import TRACK
-from estimation.track.results import nothing
+from estimation.track.results import unestimated_report
 from estimation.track.screening.screen import Screened
 from estimation.track.section import SectionEstimate
 from estimation.track.settings import AlignmentSettings
@@ -39,7 +39,7 @@ NO_SHIFT = TrackFindings({}, 0.0, {})
 SHIFT = TrackFindings({}, 0.0, {"W": shift_of(0.3)})
 
 
-CONVERGED = replace(nothing(Reason(ReasonCode.NO_PASS, "no pass")), converged=True)
+CONVERGED = replace(unestimated_report(Reason(ReasonCode.NO_PASS, "no pass")), converged=True)
 RIGHT = SurveyVerdict(refused=False, reason=Reason(ReasonCode.SURVEY_CONFIRMED, CONFIRMED))
 WRONG = SurveyVerdict(refused=True, reason=Reason(ReasonCode.SURVEY_UNRELATED, "it differs"))
 OPEN = SurveyVerdict(refused=False, reason=None)

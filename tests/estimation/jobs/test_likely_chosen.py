@@ -34,7 +34,9 @@ def test_a_geometry_needs_no_samples_of_windows_that_were_just_estimated(
             assert len(found) == 2
             for start_ns, parts in found.items():
                 window = unit.windows.load(name, start_ns)
-                expected = rolling_sums(window, assumed.windows.vehicle_class, assumed.windows.signals)
+                expected = rolling_sums(
+                    window, assumed.window_parameters.vehicle_class, assumed.window_parameters.signals
+                )
                 assert len(parts) == len(expected) > 0
                 for one, other in zip(parts, expected, strict=True):
                     np.testing.assert_array_equal(one.products, other.products)

@@ -321,7 +321,7 @@ def test_profiles_of_before_an_identity_change_are_not_those_of_the_wheels_after
         (IdentityChange(4 * DAY_NS, 5 * DAY_NS), 1),
         (IdentityChange(2 * DAY_NS, 4 * DAY_NS), 0),  # measured within the change
     ):
-        monkeypatch.setattr(refresh_rails, "last_change", lambda *_, found=change: found)
+        monkeypatch.setattr(refresh_rails, "last_break", lambda *_, found=change: found)
         assert len(inputs(registered, fleet()).measured) == count
 
 

@@ -325,7 +325,7 @@ def test_signatures_of_before_an_identity_change_say_nothing_of_the_wheelset_tha
     storage, context, truth, _ = ran
     serial, later = min(truth), IdentityChange(10**18, 2 * 10**18)  # behind all windows
     with monkeypatch.context() as exchanged:
-        exchanged.setattr(refresh_signatures, "suspected", lambda *_: frozenset({serial}))
+        exchanged.setattr(refresh_signatures, "with_identity_alerts", lambda *_: frozenset({serial}))
         exchanged.setattr(refresh_signatures, "identity_change", lambda *_: later)
         with storage.write() as unit:
             unit.subjects.raised(SubjectKind.WHEELSET, serial, Facet.RESTARTS)

@@ -17,7 +17,7 @@ from api.schemas.trend import trend as served_trend
 from bench.put_values import put_geometry
 from estimation.alerts.rules.trend import LimitForecastRule, UnregisteredChangeRule, limit_forecast_finding
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.steps.assumptions import last_change
+from estimation.jobs.steps.assumptions import last_break
 from estimation.jobs.steps.wheelset_facts import facts_of
 from estimation.storage import Storage
 from estimation.values.alerts import CloseReason, Severity
@@ -88,7 +88,7 @@ def test_a_fall_is_raised_with_its_place_and_size_and_the_trend_begins_behind_it
     finding = limit_forecast_finding(LimitForecastRule(), "W1", now, ahead, 1)
     assert (finding.breached, finding.evidence["unknown_because_code"]) == (None, "behind_step")
     with storage.read() as unit:
-        change = last_change(unit, unit.registry.wheelset("W1"))
+        change = last_break(unit, unit.registry.wheelset("W1"))
         assert "W1" in due_geometries(unit)  # the current geometry begins again behind the step
     assert change is not None
     assert (change.before_ns, change.after_ns) == (step.before_ns, step.after_ns)
