@@ -1,6 +1,6 @@
-"""Waiting for news of the feed, and streams of it: one look at the database an interval, however many wait.
+"""Waiting for news of the feed, and streams of it: one query an interval, and with news one read for each filter.
 
-Whoever waits holds no thread and no connection. What others commit, also in other processes, is seen at the next look.
+Whoever waits holds no thread and no database connection. What other processes commit is seen at the next look, too.
 Events of each filter are kept for a while as they are sent, so that many clients of one filter cost one read.
 """
 
@@ -38,7 +38,7 @@ def ending() -> bool:
     """Return whether a signal has asked uvicorn to end.
 
     A server that makes processes of its own (``uvicorn --workers 2``) tells its applications only when the last
-    connection is closed, for which those that stream would let it wait. It has its own handler of the signal.
+    connection is closed, which open streams delay. Its own handler of the signal knows it earlier.
     """
     server = getattr(signal.getsignal(signal.SIGTERM), "__self__", None)
     return isinstance(server, uvicorn.Server) and server.should_exit
@@ -64,7 +64,7 @@ class Channel:
 
     narrowed: FeedFilter
     storage: SqlStorage
-    begin: int  # all that matches and has a higher number is in `kept`
+    begin: int  # `kept` holds what matches above this number, up to `end`
     end: Place  # up to where has been looked
     kept: deque[Sent] = field(default_factory=deque)
     followers: int = 0
@@ -220,12 +220,12 @@ EVENT_STREAM = "text/event-stream"
 HEARTBEAT_S = 15.0  # longest silence of a stream
 LONGEST_S = 900.0  # a stream ends after this time; clients connect again
 ASKED_EVERY_S = 15.0  # how often a stream asks whether its key would still be let in; else it ends
-RETRY_MS = 2000  # how long a client waits until it connects again
-CATCH_UP = 200  # events of one read of a stream that is behind
+RETRY_MS = 2000  # until a client connects again, and a stream asks the database again
+CATCH_UP = 200  # most events of one part
 
 
 class EventStream(StreamingResponse):
-    """An answer that goes on; a client that does not read is left, nothing is kept for it."""
+    """An answer that goes on; a client that stops reading is disconnected, nothing is kept for it."""
 
     media_type = EVENT_STREAM
 
@@ -266,7 +266,7 @@ class FeedStream:
     clock_s: Callable[[], float] = time.monotonic
 
     async def parts(self, page: FeedPage) -> AsyncIterator[bytes]:
-        """Yield what is sent, one or more whole events at a time, until the stream ends."""
+        """Yield whole events, or a comment that keeps the connection, until the stream ends."""
         ends, history = self.clock_s() + LONGEST_S, self.watch.histories
         yield b"retry: %d\n: the feed of alerts\n\n" % RETRY_MS + _text(page)
         async with self.watch.following(self.narrowed, self.storage, page) as channel:

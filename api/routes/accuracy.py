@@ -92,13 +92,15 @@ class EstimateOfDate(
 class MeasuredAtBins(Representation):
     """The measured curve rL - rR at the bins of the estimate, counted from the origin of the estimated one.
 
-    Band-limited signals carry no offset: the estimated curve is counted from the place that the wheelset runs at. It is
-    the one on the measured curve at which the estimate fits best.
+    Band-limited signals carry no offset: the estimated curve is counted from the place that the wheelset runs at. That
+    place is found by shifting the estimate along the measured curve until it fits best.
     """
 
     origin_displacement_mm: float = Field(description="Lateral displacement of the origin on the measured curve.")
     origin_radius_difference_mm: float = Field(description="rL - rR of the measured curve there.")
-    rolling_radius_difference_mm: list[float | None] = Field(description="At each bin; null without contact.")
+    rolling_radius_difference_mm: list[float | None] = Field(
+        description="At each bin; null without contact and beyond the measured curve."
+    )
     rolling_radius_difference_std_mm: list[float | None] = Field(description="Standard deviation at each bin.")
 
 
@@ -127,7 +129,9 @@ class ProfileComparison(Representation):
         description="Whether the estimate was made without any measurement of the same profiles; only then does it"
         " check the product. Null without an estimate."
     )
-    measured_at_bins: MeasuredAtBins | None = Field(description="Null where either curve is missing.")
+    measured_at_bins: MeasuredAtBins | None = Field(
+        description="Null where either curve is missing, or the measured one does not cross zero."
+    )
     conicity_by_amplitude: list[ConicityCompared] = Field(description="At 1 to 8 mm.")
     links: Links
 
@@ -219,7 +223,7 @@ class Coverage(Derived, of=CoverageCount, also=("fraction",)):
 
 
 class CoverageOfGroup(Derived, of=CoveragePair):
-    """The coverage of some comparisons, and of those that check the product."""
+    """The coverage of some comparisons, and of the independent ones."""
 
 
 class CoverageAtAmplitude(CoverageOfGroup):
@@ -273,7 +277,9 @@ class Accuracy(Representation):
 
     amplitude_mm: float = Field(description="Of the conicity that is compared: that of limits.")
     on_file: int = Field(description="Measurements on file that fit the filter.")
-    considered: int = Field(description="The newest of these, as many as `limit` allows; what follows is of them.")
+    considered: int = Field(
+        description="How many of the newest, as many as `limit` allows, can be read; what follows is of these."
+    )
     coverage: CoverageOfGroup = Field(description="At 3 mm.")
     coverage_by_amplitude: list[CoverageAtAmplitude] = Field(description="At 1 to 8 mm.")
     coverage_by_vehicle_class: list[CoverageOfKey] = Field(description="At 3 mm, by class of the vehicle.")
@@ -283,7 +289,7 @@ class Accuracy(Representation):
     not_compared: list[NotCompared] = Field(description="Measurements that are not compared at 3 mm, by reason.")
     measurements: list[MeasurementRow] = Field(description="Each measurement, the newest first.")
     unreadable: list[Unreadable] = Field(
-        description="Wheelsets left out of all that is above, because something stored of them is damaged."
+        description="Wheelsets that `on_file` counts alone, because something stored of them is damaged."
     )
     links: Links
 

@@ -52,7 +52,9 @@ class RecordDecision(Body):
         min_length=1, max_length=2000, pattern=TEXT, description="Kept for ever.", examples=["of another wheelset"]
     )
     by: Key | None = Field(
-        default=None, description="Who; read only where access control is off.", examples=["j.smith"]
+        default=None,
+        description="Who decides: needed where access control is off; else it may only name the key's owner.",
+        examples=["j.smith"],
     )
 
 
@@ -83,8 +85,10 @@ class RegistryDecision(Representation):
     by: str = Field(description="Who; empty where a registry file was loaded with recordings.", examples=["j.smith"])
     reason: str = Field(examples=["of another wheelset"])
     recorded_at: Timestamp | None = Field(description="Our time; null where it is not known.")
-    before: Record | None = Field(description="The record before; null where it is new or was restored.")
-    after: Record | None = Field(description="The record since; null where it was voided, or is not known.")
+    before: Record | None = Field(
+        description="The record before; null where it is new, was restored, or can no longer be read."
+    )
+    after: Record | None = Field(description="The record since; null where it was voided, or can no longer be read.")
 
 
 def _shown_decision(event: RegistryEvent) -> RegistryDecision:
@@ -158,7 +162,8 @@ def list_registry_history(asked: AskedListDep, kind: KindFilter = None, of: KeyF
 def void_record(asked: ChangeDep, body: RecordDecision) -> Response:
     """Take a record out that was wrong; what rests on it is made again, and `as_of` keeps what was believed.
 
-    `If-Match` carries the ETag of the wheelset, vehicle, class or section that the record is of.
+    `If-Match` carries the ETag of the wheelset, vehicle, class or section that the record is of; `*` where
+    that is voided itself.
     """
     return _decide(asked, body, RecordAction.VOIDED)
 
@@ -167,7 +172,8 @@ def void_record(asked: ChangeDep, body: RecordDecision) -> Response:
 def restore_record(asked: ChangeDep, body: RecordDecision) -> Response:
     """Put a record back that was voided, as it was.
 
-    `If-Match` carries the ETag of the wheelset, vehicle, class or section that the record is of.
+    `If-Match` carries the ETag of the wheelset, vehicle, class or section that the record is of; `*` where
+    that is voided itself.
     """
     return _decide(asked, body, RecordAction.RESTORED)
 
@@ -175,18 +181,19 @@ def restore_record(asked: ChangeDep, body: RecordDecision) -> Response:
 def _decide(asked: AskedChange, body: RecordDecision, action: RecordAction) -> Response:
     kind = RecordKind(body.kind)
     if kind.dated != (body.at is not None):
-        detail = f"is needed: a {kind} is one of a time" if kind.dated else f"is no part of a {kind}"
+        detail = f"is required for a {kind}" if kind.dated else f"is not allowed for a {kind}"
         raise invalid("#/at", detail, f"at: {detail}")
     key = RecordKey(kind, body.key, body.at)
     if key.kind in _SHARED and asked.caller.fleets is not None:
         raise ProblemError(403, "forbidden", "this needs a key of all fleets")
+    # 404 before anything is decided
     with asked.read() as unit:
-        _asset(unit, key)
+        _matched_resource(unit, key)
     actor = asked.caller.acts_as(body.by, UNNAMED)
 
     def decide(unit: SqlUnitOfWork, now_ns: int) -> RegistryDecision:
         decision = Decision(actor, body.reason, now_ns)
-        require_match(asked.if_match, _asset(unit, key))
+        require_match(asked.if_match, _matched_resource(unit, key))
         if action is RecordAction.VOIDED:
             unit.corrections.void(key, decision)
         else:
@@ -199,7 +206,7 @@ def _decide(asked: AskedChange, body: RecordDecision, action: RecordAction) -> R
     return asked.once(body, decide, HTTPStatus.CREATED)
 
 
-def _asset(unit: SqlUnitOfWork, key: RecordKey) -> BaseModel:
+def _matched_resource(unit: SqlUnitOfWork, key: RecordKey) -> BaseModel:
     if key.kind in _OF_VEHICLE:
         return common.Vehicle.made(unit.registry.vehicle(key.subject))
     if key.kind not in _SHARED:

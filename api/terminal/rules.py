@@ -85,9 +85,9 @@ def _flat(value: object, prefix: str = "") -> Iterator[tuple[str, str]]:
 
 def _band(band: SpeedBand) -> str:
     of_class = "any class" if band.vehicle_class == "*" else band.vehicle_class
-    falls = f" {band.per_km_h:+.6g} a km/h" if band.per_km_h else ""
+    slope = f" {band.per_km_h:+.6g} per km/h" if band.per_km_h else ""
     speed = "any speed" if math.isinf(band.up_to_km_h) else f"up to {band.up_to_km_h:g} km/h"
-    return f"{of_class}, {speed}: {band.limit:g}{falls}"
+    return f"{of_class}, {speed}: {band.limit:g}{slope}"
 
 
 _ALL = 2**31
@@ -95,7 +95,7 @@ _SHOWN = tuple(change for change in Change if change is not Change.SAME)
 
 
 def replay(from_: str, to: str | None, file: Path | None, fleet: str | None) -> None:
-    """Replay the rules in force and those of a file, and print how their alerts differ."""
+    """Replay the rules in force, and print their alerts; with a file, how the alerts of its rules differ."""
     settings, console = load_settings(), Console()
     span = (_moment(from_, "--from"), SystemClock().now_ns() if to is None else _moment(to, "--to"))
     if span[0] >= span[1]:
@@ -104,7 +104,7 @@ def replay(from_: str, to: str | None, file: Path | None, fleet: str | None) -> 
     tried = None if file is None else load_rules(file)
     with closing(open_store(settings)) as storage:
         with storage.read() as unit:
-            _check_codes(unit, tried or in_force, fleet, console)
+            _report_unknown_scopes(unit, tried or in_force, fleet, console)
         changed = _replayed(storage, (in_force, tried or in_force), span, fleet)
     print_line(console, f"{to_rfc3339(span[0])} to {to_rfc3339(span[1])}")
     print_line(console, f"rules in force: {in_force.version}")
@@ -117,7 +117,7 @@ def replay(from_: str, to: str | None, file: Path | None, fleet: str | None) -> 
         console.print(_alerts_table(listed) if listed else "no alert differs")
     console.print(
         f"not replayed: {', '.join(NOT_REPLAYED)}, rejected recordings, grouping into fleet alerts; low_adhesion "
-        f"where windows keep their sums of friction, {WORK.sums_kept_ns // DAY_NS} days; nothing was written",
+        f"before the last {WORK.sums_kept_ns // DAY_NS} days, whose windows keep their sums; nothing was written",
         highlight=False,
     )
 
@@ -130,8 +130,8 @@ def _moment(text: str, name: str) -> int:
         raise InputError(f"{text!r} {error}", field=name) from None
 
 
-def _check_codes(unit: SqlUnitOfWork, book: RuleBook, fleet: str | None, console: Console) -> None:
-    """Say which fleets and classes of the rules the registry does not have: nothing follows from them."""
+def _report_unknown_scopes(unit: SqlUnitOfWork, book: RuleBook, fleet: str | None, console: Console) -> None:
+    """Refuse an unknown ``fleet``; say which fleets of the rules are not on file, and which classes no vehicle has."""
     fleets = {record.code for record in unit.registry.fleets()}
     if fleet is not None and fleet not in fleets:
         raise NotFoundError("fleet", fleet)

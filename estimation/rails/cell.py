@@ -74,9 +74,9 @@ Cell = TypeVar("Cell")
 
 def with_refused(found: RailsApart, cells: Sequence[StoredCell]) -> RailsApart:
     """Return what was found, with the wheels and rails whose cells are all refused, in the order of their keys."""
-    known = {one.rail for one in found.rails}, {one.wheel for one in found.wheels}
-    of_rails = grouped((cell.rail, cell) for cell in cells if cell.rail not in known[0])
-    of_wheels = grouped((cell.wheel, cell) for cell in cells if cell.wheel not in known[1])
+    known_rails, known_wheels = {one.rail for one in found.rails}, {one.wheel for one in found.wheels}
+    of_rails = grouped((cell.rail, cell) for cell in cells if cell.rail not in known_rails)
+    of_wheels = grouped((cell.wheel, cell) for cell in cells if cell.wheel not in known_wheels)
     rails, wheels = [*found.rails], [*found.wheels]
     for rail, own in of_rails.items():
         nothing = _nothing(own, len(found.amplitude))
@@ -85,7 +85,7 @@ def with_refused(found: RailsApart, cells: Sequence[StoredCell]) -> RailsApart:
         nothing = _nothing(own, len(found.amplitude))
         wheels.append(WheelPart(wheel, None, nothing, sections_of(own), **extent(own)))
     said = found.trends.keys() | found.no_trends.keys()
-    no_trends = {key.section: _reason(own) for key, own in of_rails.items() if key.section not in said}
+    no_trends = {key.section: _most_frequent_reason(own) for key, own in of_rails.items() if key.section not in said}
     return replace(
         found,
         rails=tuple(sorted(rails, key=lambda one: one.rail)),
@@ -109,20 +109,20 @@ def extent(own: Sequence[StoredCell] | Sequence[SectionConicity]) -> dict[str, i
 
 
 def wheelsets_of(own: Sequence[StoredCell] | Sequence[SectionConicity]) -> int:
-    """Return of how many wheelsets cells are."""
+    """Return the number of wheelsets in the cells."""
     return len({one.wheel.wheelset for one in own})
 
 
 def sections_of(own: Sequence[StoredCell] | Sequence[SectionConicity]) -> tuple[str, ...]:
-    """Return of which sections cells are, by code."""
+    """Return the codes of the cells' sections, in order."""
     return tuple(sorted({one.rail.section for one in own}))
 
 
 def _nothing(own: Sequence[StoredCell], amplitudes: int) -> tuple[Estimate, ...]:
-    return (Estimate.unknown(_reason(own), float(sum(one.windows for one in own))),) * amplitudes
+    return (Estimate.unknown(_most_frequent_reason(own), float(sum(one.windows for one in own))),) * amplitudes
 
 
-def _reason(own: Sequence[StoredCell]) -> Reason:
+def _most_frequent_reason(own: Sequence[StoredCell]) -> Reason:
     reasons = [one.reason for one in own if one.reason is not None]
     count = Counter(reason.code for reason in reasons)
     return max(reasons, key=lambda reason: count[reason.code])
@@ -130,7 +130,7 @@ def _reason(own: Sequence[StoredCell]) -> Reason:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellTable:
-    """Cells, and what they are of."""
+    """Cells as arrays, with their wheels and rails."""
 
     amplitude: FloatArray  # (k,) m
     wheels: tuple[WheelKey, ...]  # w, in order
@@ -142,7 +142,7 @@ class CellTable:
     conicity: FloatArray  # (n, k)
     sampled: FloatArray  # (n, k)
     systematic: FloatArray  # (n, k)
-    scale: FloatArray  # (n,) relative, of a scale of y - d
+    scale: FloatArray  # (n,) relative std of the scale of y - d
     windows: IntArray  # (n,)
     years: FloatArray  # (n,) middle of what was seen, since 1970
 
@@ -187,7 +187,7 @@ class ReferenceWheel(FrozenArrays):
     """The wheel as designed: what its conicity is, from its drawing and those of rails."""
 
     profile: str  # name
-    on_reference: Annotated[FloatArray, "n"]  # on the rails that all are compared with
+    on_reference: Annotated[FloatArray, "k"]  # on the rails that all are compared with
     on_file: Mapping[str, FloatArray] = field(default_factory=dict)  # (k,) by section, on its rails as on file
 
     def of(self, section: str) -> FloatArray:
@@ -209,7 +209,7 @@ class Anchors:
 
     @property
     def level_open(self) -> Reason:
-        """Why nothing holds the level, where nothing does."""
+        """The reason to give where nothing holds the level."""
         nothing = "no section with known rails and no measured wheelset holds the level"
         refused = [*sorted(self.refused.items()), *sorted(self.refused_wheels.items())]
         why = "".join(f"; {name}: {reason.text}" for name, reason in refused)

@@ -23,8 +23,8 @@ class SectionGrid:
     length: float  # m
     step: float  # m
     cutoff_wavelength: float  # m, of everything that is compared
-    difference_cutoff_wavelength: float  # m, of R before h is applied to it: h is not linear, so R must be whole
-    impact_difference: float  # m of R; beyond are flange impacts, hunting, clipped sensors: what is near is left out
+    difference_cutoff_wavelength: float  # m, of R: h(R) is not linear, so R keeps longer waves
+    impact_difference: float  # m of R; beyond it is an impact or clipped, and what is near is left out
     kernel: FloatArray = field(init=False, repr=False, compare=False)  # of ``cutoff_wavelength``
     difference_kernel: FloatArray = field(init=False, repr=False, compare=False)  # of ``difference_cutoff_wavelength``
 
@@ -57,10 +57,10 @@ class GriddedPass:
     displacement: FloatArray  # (m,) y, m, slow part meaningless
     unit_difference: FloatArray  # (m,) R at ratio one, m, high-passed, also where it is uncertain
     unit_stiffness_term: FloatArray  # (m,) m, part of R that scales with the ratio, likewise
-    difference: FloatArray  # (m,) R, m, without what is longer than the grid's cut-off; zero where uncertain
+    difference: FloatArray  # (m,) R, m, up to the grid's difference_cutoff_wavelength; zero where uncertain
     stiffness_term: FloatArray  # (m,) m, likewise
     certain: BoolArray  # (m,) where R is known, and no impact
-    inside: BoolArray  # (m,) where both filters see enough of it, and no impact
+    inside: BoolArray  # (m,) on the section, certain over the reach of both kernels
 
     @property
     def life(self) -> ProfileLife:

@@ -1,4 +1,4 @@
-"""Keys of the REST API, the audit log, and answers already given to requests that carried a key."""
+"""Keys of the REST API, the audit log, and answers that are kept under idempotency keys."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ class ApiKeyStore(Store):
     """The keys, in one transaction."""
 
     def find(self, prefix: str) -> ApiKey | None:
-        """Return the key with a prefix; None where there is none."""
+        """Return the key of this prefix; None where there is none."""
         row = row_of(self.connection, KEYS, prefix)
         return None if row is None else value_of_row(ApiKey, row)
 
     def get(self, prefix: str) -> ApiKey:
-        """Return the key with a prefix; raises NotFoundError."""
+        """Return the key of this prefix; raises NotFoundError."""
         return present(self.find(prefix), "key", prefix)
 
     def page(self, after: str | None, limit: int | None) -> Sequence[ApiKey]:
-        """Return at most ``limit`` keys with a prefix behind ``after``, by prefix; None for all."""
+        """Return keys by prefix: those after ``after``, at most ``limit``; None does not narrow them."""
         statement = select(KEYS).where(*given(after, KEYS.c.prefix.__gt__)).order_by(KEYS.c.prefix).limit(limit)
         return [value_of_row(ApiKey, row) for row in self.connection.execute(statement)]
 

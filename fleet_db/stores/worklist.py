@@ -1,7 +1,7 @@
 """The worklist: a row a wheelset, made again in every transaction that changes what it shows.
 
-On PostgreSQL a transaction locks the rows before it reads what they are made from, and does so last: of two that touch
-one wheelset the second waits, and then reads what the first has committed. Nothing is so ever lost or out of date.
+On PostgreSQL a transaction locks the rows, as its last step, before it reads what they are made from: of two that touch
+one wheelset the second waits, and then reads what the first has committed. So no change is lost.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class WorklistReader:
     def _refused(
         self, wheelsets: Sequence[WheelsetRecord], geometries: Mapping[str, object]
     ) -> Mapping[str, Mapping[ReasonCode, int]]:
-        """Return what the newest windows of wheelsets are refused for that have no geometry of their profile."""
+        """Count the newest refused windows, by reason, of wheelsets without a geometry of their present profile."""
         without = {}
         for wheelset in wheelsets:
             record, turned = geometries.get(wheelset.serial), wheelset.reprofilings
@@ -116,7 +116,7 @@ class WorklistReader:
     def _windows_and_alerts(
         self, serials: Sequence[str]
     ) -> tuple[Mapping[str, tuple[int | None, MileageNow | None]], Mapping[str, Sequence[OpenAlert]]]:
-        """Return end of the newest usable window, newest mileage believed, open alerts; renew the registry."""
+        """Return end of the newest usable window, mileage believed, open alerts; note which registry was read."""
         rows = self.connection.execute(_WINDOWS_AND_ALERTS.where(WHEELSETS.c.serial.in_(serials))).all()
         self.registry.once.renew(rows[0].registry if rows else None)
         windows: dict[str, tuple[int | None, MileageNow | None]] = {}
@@ -124,7 +124,7 @@ class WorklistReader:
         for row in rows:
             windows[row.serial] = (
                 None if row.start_ns is None else row.start_ns + row.length_ns,
-                None if row.read_ns is None else MileageNow(row.mileage_km, row.read_ns),
+                None if row.mileage_at_ns is None else MileageNow(row.mileage_km, row.mileage_at_ns),
             )
             if row.alert_id is not None:
                 alert = value_of_row(OpenAlert, row, acknowledged=row.acknowledged_ns is not None)
@@ -156,7 +156,7 @@ _WINDOWS_AND_ALERTS = (
         WHEELSETS.c.serial,
         _newest(WINDOWS.c.start_ns, USABLE).label("start_ns"),
         _newest(WINDOWS.c.length_ns, USABLE).label("length_ns"),
-        _newest(WINDOWS.c.start_ns, BELIEVED).label("read_ns"),
+        _newest(WINDOWS.c.start_ns, BELIEVED).label("mileage_at_ns"),
         _newest(WINDOWS.c.mileage_km, BELIEVED).label("mileage_km"),
         REGISTRY_VERSION.label("registry"),
         *(ALERTS.c[name] for name in _ALERT),
@@ -208,7 +208,7 @@ class WorklistFilter:
 
 @dataclass(frozen=True, slots=True)
 class WorklistPlace:
-    """Where a page ended: what orders the last row (None where that is unknown), and its serial."""
+    """Where a page ended: what orders the last row (None where that is unknown or the serial orders), its serial."""
 
     key: float | int | None
     serial: str
@@ -280,7 +280,7 @@ class WorklistStore:
             self.subjects.show(serial)
 
     def _locked(self, serials: Sequence[str]) -> Mapping[str, tuple[str, str | None]]:
-        """Lock the rows of wheelsets; return document and worst severity of each. A row that is missing is added."""
+        """Lock the rows of wheelsets that are not voided, new ones too; return document and worst severity of each."""
         columns = (ENTRIES.c.wheelset, ENTRIES.c.document, ENTRIES.c.worst_severity)
         locking = select(*columns).where(ENTRIES.c.wheelset.in_(serials)).order_by(ENTRIES.c.wheelset).with_for_update()
         before = {wheelset: (document, severity) for wheelset, document, severity in self.connection.execute(locking)}
@@ -290,7 +290,7 @@ class WorklistStore:
         added = self.connection.scalars(serials_added).all() if missing else ()
         for serial in added:
             insert_new(self.connection, ENTRIES, {**_EMPTY, "wheelset": serial})
-        if added:  # the first rows are of this form
+        if added:  # a mark that is there stays: without one all rows are of this form
             insert_new(self.connection, MARKS, _OF_FORM)
         return before | dict.fromkeys(added, ("", None))
 
@@ -303,9 +303,9 @@ class WorklistStore:
                 of_alerts = dict.fromkeys(alert.kind for alert in row.state.alerts)
                 kinds += [{"kind": kind, "wheelset": row.wheelset.serial} for kind in of_alerts]
         replace_all(self.connection, ENTRIES, changed)
-        had = [values["wheelset"] for values in changed if before[values["wheelset"]][1] is not None]
-        if had:
-            self.connection.execute(delete(KINDS).where(KINDS.c.wheelset.in_(had)))
+        with_alerts_before = [values["wheelset"] for values in changed if before[values["wheelset"]][1] is not None]
+        if with_alerts_before:
+            self.connection.execute(delete(KINDS).where(KINDS.c.wheelset.in_(with_alerts_before)))
         if kinds:
             self.connection.execute(insert(KINDS), kinds)
 
@@ -327,11 +327,11 @@ _OF_FORM = {"stage": STAGE, "subject": EVERYTHING, "seen": 0, "common": str(FORM
 
 def _row(inputs: WorklistInputs) -> WorklistRow:
     """Return the row of a wheelset; one whose results the program fails at says so."""
-    from estimation.worklist.row import worklist_row  # noqa: PLC0415 - who shows nothing new waits for no rule
+    from estimation.worklist.row import worklist_row  # noqa: PLC0415 - commands that change no row start faster
 
     try:
         return worklist_row(inputs)
-    except Exception as error:  # noqa: BLE001 - the transaction stores what it is there for, whatever the row says
+    except Exception as error:  # noqa: BLE001 - a row that cannot be made must not stop the transaction
         _log.exception("worklist: the results of wheelset %s cannot be used", inputs.wheelset.serial)
         failure = Reason(code_of_error(error), first_line(error))
         return worklist_row(replace(inputs, geometry=None, trend=None, failure=failure))

@@ -116,7 +116,7 @@ CONTAINER_BYTES = 128 * 1024
 COMPRESSION = 1  # zlib's fastest: 48-byte objects that are mostly equal shrink well at any level
 HEADER_SIZE = OBJECT_HEAD.itemsize
 IDENTIFIER_BITS = 0x1FFF_FFFF
-MILLISECOND = 1_000_000
+MILLISECOND_NS = 1_000_000
 
 
 def write_blf(path: Path, batch: FrameBatch) -> None:
@@ -133,7 +133,7 @@ def write_blf(path: Path, batch: FrameBatch) -> None:
 
 def blf_bytes(batch: FrameBatch) -> bytes:
     """Return a batch as the bytes of a BLF file: the same batch, the same bytes."""
-    start_ns = int(batch.t_ns.min()) // MILLISECOND * MILLISECOND if len(batch) else 0
+    start_ns = int(batch.t_ns.min()) // MILLISECOND_NS * MILLISECOND_NS if len(batch) else 0
     stop_ns = int(batch.t_ns.max()) if len(batch) else 0
     objects = _objects(batch, start_ns)
     containers = [_container(objects[at : at + CONTAINER_BYTES]) for at in range(0, len(objects), CONTAINER_BYTES)]
@@ -198,11 +198,12 @@ def _container(contents: memoryview) -> bytes:
     head = np.zeros((), dtype=CONTAINER_HEAD)
     head["method"] = DEFLATED
     head["inflated_size"] = len(contents)
+    # BLF pads with size % 4 bytes, not to a multiple of 4
     return base.tobytes() + head.tobytes() + deflated + bytes(size % 4)
 
 
 def _system_time(t_ns: int) -> tuple[int, ...]:
     if t_ns == 0:
         return (0,) * 8
-    t = datetime.fromtimestamp(t_ns // (1000 * MILLISECOND), tz=UTC)
-    return (t.year, t.month, t.isoweekday() % 7, t.day, t.hour, t.minute, t.second, t_ns // MILLISECOND % 1000)
+    t = datetime.fromtimestamp(t_ns // (1000 * MILLISECOND_NS), tz=UTC)
+    return (t.year, t.month, t.isoweekday() % 7, t.day, t.hour, t.minute, t.second, t_ns // MILLISECOND_NS % 1000)

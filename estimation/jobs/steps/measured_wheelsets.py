@@ -1,4 +1,4 @@
-"""Which wheelsets have freshly measured profiles, for an alignment and for a comparison with what is estimated."""
+"""Measured profiles of wheelsets: as known curves for an alignment, and beside the estimates of their dates."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def measured(
     within_km: float,
     classes: ClassLookup,
 ) -> Measured:
-    """Return the curves of profiles measured within ``within_km`` of the windows, by the last visit to the lathe."""
+    """Return the curves of profiles measured within ``within_km`` of the last window of each life, by life."""
     curves: dict[ProfileLife, MeasuredCurve] = {}
     notes: list[str] = []
     on_file = unit.registry.newest_measurement_of({record.wheelset for record in records})
@@ -74,7 +74,7 @@ def measured(
 def _newest(
     unit: UnitOfWork, record: WindowRecord, wheelset: WheelsetRecord, within_km: float
 ) -> MeasuredProfiles | None:
-    """Return the last measurement of a wheelset with the profiles that it had in a window."""
+    """Return the last measurement near a window, between the same visits to the lathe; None where there is none."""
     turned = [item.at_ns for item in wheelset.reprofilings]
     near = [
         item
@@ -124,7 +124,8 @@ class ComparisonReader:
     def rails(self, serial: str, record: GeometryRecord | None) -> tuple[RailShare, ...]:
         """Return the rails that an estimate is of, with the share of its windows on each.
 
-        Without an estimate those of the newest window's section, or those of all sections where these are alike.
+        Shares are equal where the windows are gone. Without an estimate those of the newest window's section, else of
+        all sections where these are alike, else none.
         """
         sections = {section.code: section for section in self.unit.tracks.sections()}
         if record is not None:
@@ -144,7 +145,7 @@ class ComparisonReader:
 
 
 def rests_on(unit: UnitOfWork, record: GeometryRecord, measurements: Sequence[MeasuredProfiles]) -> bool:
-    """Return whether an estimate was made on an alignment for which one of some measurements was evidence."""
+    """Return whether an estimate was made on an alignment that rests, itself or by those before, on a measurement."""
     named = {evidence_of_measurement(measurement_name(measurement)) for measurement in measurements}
     return any(_any_evidence(unit, section, versions, named) for section, versions in record.track_versions.items())
 
