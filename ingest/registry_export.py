@@ -17,7 +17,7 @@ from estimation.vehicle.vehicle_class import class_document
 from fleet_db.atomic_files import write_atomically
 from fleet_db.storage import SqlUnitOfWork
 from ingest.file_value import entry_of
-from ingest.profiles.files import SUFFIX, stored_profile_text
+from ingest.profiles.stored import SUFFIX, stored_profile_text
 from ingest.registry_file import FORMAT
 from ingest.track_file import COLUMNS, GAUGE_COLUMNS, LAYOUT_COLUMNS, LINE_COLUMNS
 

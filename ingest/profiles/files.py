@@ -1,12 +1,11 @@
-"""A profile from a file, by its suffix; a wheel profile as an exported registry names it, read bit by bit as it was."""
+"""A profile from a file, by its suffix."""
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from pathlib import Path
-from typing import Literal, TypedDict, Unpack
+from typing import TypedDict, Unpack
 
 import numpy as np
 
@@ -15,40 +14,11 @@ from estimation.contact.profiles import Profile, ProfileKind
 from estimation.contact.smoothed_profile import SmoothedProfile
 from estimation.errors import ProfileError
 from estimation.values.units import MILLIMETRE
-from ingest.input_file import PROFILE_BYTES, InputTable, Text, read_json, read_text_within
+from ingest.input_file import PROFILE_BYTES, read_text_within
 from ingest.profiles.formats import FORMATS
 from ingest.profiles.orientation import oriented
 from ingest.profiles.points import FilePoints, Origin, number, points_of
-
-SUFFIX = ".json"
-"""Of the wheel profiles of an exported registry."""
-
-
-class StoredProfile(InputTable):
-    """A wheel profile of an exported registry; metres, z down, y to the field side from the tread datum."""
-
-    format: Literal["treadwatch-profile-1"]
-    name: Text
-    y_m: list[float]
-    z_m: list[float]
-    slope_1: list[float]
-
-
-def read_stored_profile(path: Path) -> Profile:
-    """Return the wheel profile of a file."""
-    file = read_json(path, ProfileError)
-    stored = file.parse(StoredProfile)
-    for name, column in (("z_m", stored.z_m), ("slope_1", stored.slope_1)):
-        if len(column) != len(stored.y_m):
-            raise file.error(f"{len(column)} numbers for {len(stored.y_m)} of y_m", (name,))
-    return Profile("wheel", stored.name, np.array(stored.y_m), np.array(stored.z_m), np.array(stored.slope_1))
-
-
-def stored_profile_text(profile: Profile) -> str:
-    """Return the content of the file of a profile."""
-    columns = {"y_m": profile.y.tolist(), "z_m": profile.z.tolist(), "slope_1": profile.slope.tolist()}
-    return json.dumps({"format": "treadwatch-profile-1", "name": profile.name, **columns})
-
+from ingest.profiles.stored import SUFFIX, read_stored_profile
 
 _DECIMAL_COMMAS = re.compile(r"^[+-]?\d+,\d+(\s*;\s*|\s+)[+-]?\d+(,\d+)?$")
 

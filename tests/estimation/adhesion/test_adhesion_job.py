@@ -137,7 +137,7 @@ def test_dampers_are_judged_where_windows_are_read(deployed: Deployed) -> None:
     """The windows are too few for a share; what each says is stored, and REST says why there is no more."""
     with deployed.storage.read() as unit:
         plan = next(one for one in deployed.scenario.vehicles if unit.dampers.of_vehicles([one.code]))
-        vehicle, found = plan.code, unit.dampers.of_vehicle(plan.code)
+        vehicle, found = plan.code, unit.dampers.of_vehicles([plan.code])
         said = {one.first_axle: unit.dampers.newest(vehicle, one.first_axle, 100) for one in found}
     assert [one.first_axle for one in found] == [1, 3]
     for one in found:
