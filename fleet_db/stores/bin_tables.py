@@ -194,9 +194,12 @@ class BinTableStore:
 
     def note_running(self, mileages: Mapping[str, Mapping[int, float]]) -> None:
         """Keep the mileages that wheelsets had run at windows, by serial and start."""
-        for wheelset, by_start in mileages.items():
-            rows = [{"wheelset": wheelset, "start_ns": start_ns, "running_km": km} for start_ns, km in by_start.items()]
-            replace_all(self.connection, TABLES, rows)
+        rows = [
+            {"wheelset": wheelset, "start_ns": start_ns, "running_km": km}
+            for wheelset, by_start in mileages.items()
+            for start_ns, km in by_start.items()
+        ]
+        replace_all(self.connection, TABLES, rows)
 
     def cells_of(self, wheelset: str, starts: Sequence[int]) -> Iterator[tuple[int, FilledCells]]:
         """Yield start and filled cells of the tables of some windows, oldest first; DamagedError names the window."""
