@@ -308,7 +308,9 @@ class RegistryChange(Body):
 
     why: Note = Field(default="", description="Kept with the record in its history.", examples=["work order 4711"])
     by: Key | None = Field(
-        default=None, description="Who; read only where access control is off.", examples=["j.smith"]
+        default=None,
+        description="Who; 'unnamed client' if left out where access control is off; else at most the key's owner.",
+        examples=["j.smith"],
     )
     confirm: list[Confirmable] = Field(
         default=[], description="Doubts of a refusal that are unfounded: it is so all the same.", examples=[[]]

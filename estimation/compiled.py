@@ -124,7 +124,7 @@ class _KernelCache(NullCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:  # noqa: ANN401 - numba's own
         """Return the compiled signature; None where it must be compiled."""
         try:
-            if any(path.stat().st_mode & OTHERS_MAY_WRITE for path in (directory(), *self._paths())):
+            if any(map(_others_may_write, (directory(), *self._paths()))):
                 return None
             found = self._files.load_overload(sig, target_context)
         except OSError:
@@ -139,14 +139,26 @@ class _KernelCache(NullCache):
         index = Path(self._files._cache_file._index_path)  # noqa: SLF001 - numba says it nowhere else
         return directory().glob(f"{index.stem}.*")
 
+    def _remove_untrusted(self) -> None:
+        """Remove files that others may write: numba reads what is there before it adds to it."""
+        if directory().exists() and _others_may_write(directory()):
+            raise PermissionError("everybody may write there")
+        for path in filter(_others_may_write, self._paths()):
+            path.unlink()
+
     def save_overload(self, sig: Any, cres: Any) -> None:  # noqa: ANN401 - numba's own
         """Keep a compiled signature, where the directory can be written."""
         try:
+            self._remove_untrusted()
             self._files.save_overload(sig, cres)
         except Exception as error:  # noqa: BLE001 - the compiled function is there, whatever is wrong with the files
             if not _KernelCache.warned:
                 _log.warning(NOT_KEPT, directory(), error)
             _KernelCache.warned = True
+
+
+def _others_may_write(path: Path) -> bool:
+    return bool(path.stat().st_mode & OTHERS_MAY_WRITE)
 
 
 def _depends_on(function: FunctionType, seen: set[FunctionType]) -> Iterator[str]:

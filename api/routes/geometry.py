@@ -30,8 +30,10 @@ from api.times import to_rfc3339
 from estimation.errors import NotFoundError
 from estimation.trend.now import NO_TREND
 from estimation.values.alerts import LimitNow, MileageNow
+from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.trend import TrendRecord
 from fleet_db.keeping.purge import purged_before
 from fleet_db.keeping.retention import Kept
 from fleet_db.packed_values import from_document
@@ -113,7 +115,8 @@ def _trend_now(unit: SqlUnitOfWork, services: Services, serial: str, media_type:
         if payload != NOT_KEPT:
             return payload
     baseline, now = len(unit.registry.wheelset(serial).reprofilings), _believed(document)
-    latest, current = unit.trends.latest(serial), unit.geometries.current(serial)
+    current = unit.geometries.current(serial)
+    latest = _of_profile(unit.trends.latest(serial), current)
     has_windows = current is not None and current.geometry.windows > 0
     why = None if has_windows else WindowReasons(unit).without_estimate(serial)
     if latest is not None:
@@ -135,20 +138,27 @@ def _believed(document: str | None) -> LimitNow | None:
 
 
 def _trend_of_geometry(unit: SqlUnitOfWork, serial: str, media_type: str, document: str | None) -> bytes:
-    latest, current = unit.trends.latest(serial), unit.geometries.current(serial)
+    current = unit.geometries.current(serial)
+    latest = _of_profile(unit.trends.latest(serial), current)
     if latest is None or current is None or not current.geometry.windows:
         return NOT_KEPT
     return table_payload(trend.trend(latest, current, _believed(document)), media_type, trend.table)
 
 
+def _of_profile(latest: TrendRecord | None, current: GeometryRecord | None) -> TrendRecord | None:
+    """Return the latest trend; None where the geometry is of a later profile already."""
+    # times on file are the vehicle's, and ``as_of`` is ours: what was recorded says which profile is the present one
+    return None if latest is None or (current is not None and latest.baseline < current.baseline) else latest
+
+
 def _trend_then(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int) -> bytes:
     baseline = _baseline(unit, serial, as_of_ns)
-    then, current = unit.trends.latest(serial, as_of_ns), unit.geometries.current(serial, as_of_ns)
+    current = unit.geometries.current(serial, as_of_ns)
+    then = _of_profile(unit.trends.latest(serial, as_of_ns), current)
     mileage = _mileage_then(unit, serial, as_of_ns)
-    # times on file are the vehicle's, and ``as_of`` is ours: what was recorded says which profile was the present one
-    if then is not None and (current is None or then.baseline >= current.baseline):
+    if then is not None:
         return table_payload(trend.trend(then, current, mileage), media_type, trend.table)
-    reason = _nothing_until("trend", as_of_ns)
+    reason, baseline = _nothing_until("trend", as_of_ns), max(baseline, 0 if current is None else current.baseline)
     return table_payload(trend.no_trend(serial, baseline, reason, current, mileage), media_type, trend.table)
 
 

@@ -53,7 +53,7 @@ class RecordDecision(Body):
     )
     by: Key | None = Field(
         default=None,
-        description="Who decides: needed where access control is off; else it may only name the key's owner.",
+        description="Who; 'unnamed client' if left out where access control is off; else at most the key's owner.",
         examples=["j.smith"],
     )
 
@@ -88,7 +88,7 @@ class RegistryDecision(Representation):
     before: Record | None = Field(
         description="The record before; null where it is new, was restored, or can no longer be read."
     )
-    after: Record | None = Field(description="The record since; null where it was voided, or can no longer be read.")
+    after: Record | None = Field(description="The record since; null where it was voided, or is not known.")
 
 
 def _shown_decision(event: RegistryEvent) -> RegistryDecision:
@@ -162,8 +162,8 @@ def list_registry_history(asked: AskedListDep, kind: KindFilter = None, of: KeyF
 def void_record(asked: ChangeDep, body: RecordDecision) -> Response:
     """Take a record out that was wrong; what rests on it is made again, and `as_of` keeps what was believed.
 
-    `If-Match` carries the ETag of the wheelset, vehicle, class or section that the record is of; `*` where
-    that is voided itself.
+    `If-Match` carries the ETag of the wheelset, vehicle, class or section that the record is of; `*` for a
+    voided class or section.
     """
     return _decide(asked, body, RecordAction.VOIDED)
 
@@ -172,8 +172,8 @@ def void_record(asked: ChangeDep, body: RecordDecision) -> Response:
 def restore_record(asked: ChangeDep, body: RecordDecision) -> Response:
     """Put a record back that was voided, as it was.
 
-    `If-Match` carries the ETag of the wheelset, vehicle, class or section that the record is of; `*` where
-    that is voided itself.
+    `If-Match` carries the ETag of the wheelset, vehicle, class or section that the record is of; `*` for a
+    voided class or section.
     """
     return _decide(asked, body, RecordAction.RESTORED)
 

@@ -27,7 +27,7 @@ from estimation.worklist.row import NO_GEOMETRY, REPROFILED
 _NO_POINTS = (
     *("quantity", "slope_per_1000_km", "slope_per_year", "fitted", "limit", "probability_over_limit", "status"),
     *("reason", "converged", "step", "distance_to_limit_km", "date_of_limit_ns", "not_comparable", "few_behind"),
-    *("ahead_km", "over_ahead"),
+    *("ahead_km", "over_ahead", "raise_probability"),
 )
 
 
@@ -73,7 +73,7 @@ class TrendProvenance(Derived, of=TrendRecord, without=("wheelset", "baseline", 
 
 _OF_NOW = (
     *("limit", "distance_to_limit_km", "date_of_limit_ns", "probability_over_limit", "not_comparable", "few_behind"),
-    *("ahead_km", "over_ahead"),
+    *("ahead_km", "over_ahead", "raise_probability"),
 )
 
 

@@ -189,7 +189,9 @@ def contradicting(
         return ()
     usual = np.full(len(known), np.median(by_vehicle.logarithm[known]))
     own = by_vehicle.logarithm[vehicle_of]
-    scatter = parameters.wheelset_scatter / np.sqrt(np.bincount(vehicle_of))
+    # a wheelset may have run under two vehicles meanwhile
+    pairs = np.unique(sums.vehicle * len(sums.wheelsets) + sums.wheelset) // len(sums.wheelsets)
+    scatter = parameters.wheelset_scatter / np.sqrt(np.bincount(pairs))
     stated = np.hypot(np.hypot(file.spring, file.load), scatter)
     deviation = _deviation(by_vehicle, usual, stated, known)
     vehicle = int(np.argmax(deviation))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
@@ -33,6 +33,7 @@ class TrendInputs:
     conicities: tuple[IntervalConicities, ...]
     limit: float | None  # of the conicity at 3 mm, in the vehicle it runs in or ran in last; None where there is none
     parameters: TrendParameters
+    raise_probability: float | None = None  # of the rule that has the limit
 
 
 def load(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mapping[str, TrendInputs]:
@@ -45,11 +46,13 @@ def load(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mappi
         serial, baseline, vehicle = wheelset.serial, len(wheelset.reprofilings), vehicles.get(wheelset.serial)
         conicities = since_change(intervals[serial], changes.get(serial))
         rules = None if vehicle is None else context.settings.rules.of(wheelset.fleet, vehicle.vehicle_class)
+        rule = None if rules is None else rules.rule(ConicityLimitRule)
         inputs[serial] = TrendInputs(
             baseline=baseline,
             conicities=tuple(entry for entry in conicities if entry.windows),  # others were followed by empty ones
-            limit=None if rules is None or vehicle is None else rules.rule(ConicityLimitRule).limit_for(vehicle),
+            limit=None if rule is None or vehicle is None else rule.limit_for(vehicle),
             parameters=context.settings.trend,
+            raise_probability=None if rule is None else rule.raise_probability,
         )
     return inputs
 
@@ -69,6 +72,8 @@ def compute(inputs: TrendInputs) -> Outcome[WearTrend]:
     if inputs.limit is None:
         return Outcome(counted="without_limit")
     trend = trend_of(inputs.conicities, inputs.limit, inputs.parameters)
+    if inputs.raise_probability is not None:
+        trend = replace(trend, raise_probability=inputs.raise_probability)
     part = Part(
         trend,
         part=baseline_part(inputs.baseline),

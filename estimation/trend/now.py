@@ -81,23 +81,6 @@ def probability_above(estimate: Estimate, limit: float) -> float | None:
     return float(ndtr((estimate.value - limit) / estimate.std))
 
 
-def probability_within(trend: WearTrend, distance_km: float) -> float | None:
-    """Return the probability that the limit is reached within a distance from the last point; None where not known."""
-    # Interpolated between the published quantiles, so that a reader of the trend can repeat it; beyond the last known
-    # quantile it stays at that quantile's probability.
-    if trend.status is not Status.ESTIMATED or trend.probability_over_limit is None:
-        return None
-    distances, probabilities = [0.0], [trend.probability_over_limit]
-    for name, probability in QUANTILES.items():
-        distance = getattr(trend.distance_to_limit_km, name)
-        if distance is not None and distance > distances[-1]:
-            distances.append(distance)
-            probabilities.append(max(probability, probabilities[0]))
-        elif distance is not None:
-            probabilities[-1] = max(probability, probabilities[-1])
-    return float(np.interp(distance_km, distances, probabilities))
-
-
 @dataclass(frozen=True, slots=True)
 class Against:
     """A conicity against a limit: which one decides, at which amplitude (m), and how probably it is over."""
@@ -245,6 +228,14 @@ def probability_ahead(trend: WearTrend, distance_km: float) -> float | None:
     return float(np.interp(distance_km, trend.ahead_km, trend.over_ahead))
 
 
+def probability_within(trend: WearTrend, run_km: float, distance_km: float) -> float | None:
+    """Return the greatest probability of being over the limit on a way that begins ``run_km`` behind the last point."""
+    ends = [probability_ahead(trend, at_km) for at_km in (run_km, run_km + distance_km)]
+    on_the_way = (trend.ahead_km > run_km) & (trend.ahead_km < run_km + distance_km)
+    known = [over for over in (*ends, *trend.over_ahead[on_the_way].tolist()) if over is not None]
+    return max(known) if None not in ends else None
+
+
 def _ahead(now: LimitNow, trend: WearTrend) -> LimitNow:
     """Return it with what the trend says, which counts from its last point."""
     since = None
@@ -253,9 +244,10 @@ def _ahead(now: LimitNow, trend: WearTrend) -> LimitNow:
     run = since or 0.0
     over, by_data = finite(probability_ahead(trend, run)), now.probability_over_limit
     # the last points, or a smaller amplitude, may be over by themselves, for which the alert on the limit is raised; a
-    # conicity that falls has left them behind
-    falls = over is not None and over < (probability_ahead(trend, 0.0) or 0.0)
-    if by_data is not None and (over is None or (by_data >= SCALE.over_probability and not falls)):
+    # conicity that surely falls leaves them behind (a probability may sink because the forecast widens)
+    slope = trend.slope_per_1000_km.high
+    falls = slope is not None and slope < 0.0
+    if by_data is not None and (over is None or (by_data >= trend.raise_probability and not falls)):
         over = max(by_data, over or 0.0)
     distance = {name: _from_now(trend, name, run, over) for name in QUANTILES}
     return replace(
@@ -276,8 +268,13 @@ def _from_now(trend: WearTrend, name: str, run_km: float, over: float | None) ->
     if far is None or far > run_km:
         return None if far is None else far - run_km
     # a conicity that has fallen below the limit since may come back to it
-    again = trend.ahead_km[(trend.ahead_km > run_km) & (trend.over_ahead >= QUANTILES[name])]
-    return float(again[0]) - run_km if len(again) else None
+    again = np.flatnonzero((trend.ahead_km > run_km) & (trend.over_ahead >= QUANTILES[name]))
+    if over is None or not len(again):
+        return None
+    reached, before_km = int(again[0]), max(run_km, float(trend.ahead_km[again[0] - 1]))
+    before = probability_ahead(trend, before_km)
+    nodes = [before_km, float(trend.ahead_km[reached])]
+    return float(np.interp(QUANTILES[name], [before or 0.0, trend.over_ahead[reached]], nodes)) - run_km
 
 
 def _date(trend: WearTrend, name: str, distance_km: float | None, mileage: MileageNow | None) -> float | None:

@@ -313,7 +313,10 @@ def trend_up_to(record: TrendRecord, mileage_km: float, shared_std: float, param
     until = int(np.searchsorted(now.mileage_km, mileage_km, side="right"))
     columns = (now.mileage_km, now.measured_ns, now.value, now.std)
     points = tuple(column[:until].tobytes() for column in columns)
-    return replace(record, trend=_refitted(points, now.limit, now.quantity, shared_std, parameters))
+    then = _refitted(points, now.limit, now.quantity, shared_std, parameters)
+    if now.step is not None:
+        then = with_step(then, now.step)
+    return replace(record, trend=replace(then, raise_probability=now.raise_probability))
 
 
 @lru_cache(MEMORY.trends)

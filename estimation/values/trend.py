@@ -71,6 +71,7 @@ class WearTrend(FrozenArrays):
     few_behind: Reason | None = None  # why nothing is forecast: too few points behind the step; None where enough are
     ahead_km: Annotated[FloatArray, "a"] = field(default_factory=lambda: np.empty(0))  # from the last point, increasing
     over_ahead: Annotated[FloatArray, "a"] = field(default_factory=lambda: np.empty(0))  # P over the limit there
+    raise_probability: float = 0.9  # of the rule on the limit: from it on the last points count by themselves
 
     @property
     def head(self) -> JsonValue:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -28,6 +29,17 @@ integrate_once(np.ones(3), 0.5, found)
 stats = integrate_once.stats
 print(json.dumps([sum(stats.cache_hits.values()), sum(stats.cache_misses.values()), found.tolist()]))
 """
+
+
+class Planted:
+    """What makes a directory when it is unpickled."""
+
+    def __init__(self, made: Path) -> None:
+        self.made = str(made)
+
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        """Return the call that unpickling makes."""
+        return os.mkdir, (self.made,)
 
 
 @pytest.fixture(scope="module")
@@ -146,8 +158,14 @@ def test_a_bit_that_has_turned_anywhere_ends_no_process(installed: Path, writabl
 def test_code_that_everybody_may_write_is_not_loaded(installed: Path, writable: Path, what: str) -> None:
     run(installed, TREADWATCH_COMPILED_DIR=str(writable))
     (path,) = writable.glob(what)
+    (index,) = writable.rglob("*.nbi")
+    (index if path.is_dir() else path).write_bytes(pickle.dumps(Planted(writable / "ran")))
     path.chmod(0o777)
     assert counts(run(installed, TREADWATCH_COMPILED_DIR=str(writable))) == COMPILED
+    assert not (writable / "ran").exists()
+    # files are replaced, and then serve; a directory stays as it is
+    again = counts(run(installed, TREADWATCH_COMPILED_DIR=str(writable)))
+    assert again == (COMPILED if path.is_dir() else LOADED)
 
 
 @pytest.mark.slow

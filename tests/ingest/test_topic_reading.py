@@ -120,8 +120,12 @@ def test_a_member_says_how_broker_and_topic_are_and_how_far_it_is_behind(cluster
         cluster.spread(*MESSAGES)
         taken = [first(reader) for _ in range(3)]
         assert len(taken) == 3
-        reader.ask()
-        assert (status.broker_fault, status.behind_by) == (None, 5)
+
+        def five_behind() -> bool:
+            reader.ask()
+            return (status.broker_fault, status.behind_by) == (None, 5)
+
+        eventually(five_behind)
         cluster.down()
         eventually(lambda: reader.next(0.1) is not None or status.broker_fault is not None)
         reader.ask()

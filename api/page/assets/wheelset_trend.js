@@ -87,7 +87,7 @@ function missing(intervals) {
 export function forecast(now) {
   if (!now) return "nothing is known of it";
   const { p10, p50, p90, reason } = now.distance_to_limit_km, day = now.date_of_limit.p50;
-  if (p50 === 0) return `reached already${now.probability_over_limit_1 === null ? "" : ` (probability ${number(100 * now.probability_over_limit_1)} %)`}`;
+  if (p50 === 0) return `reached already${now.probability_over_limit_1 === null ? "" : ` (probability ${Math.min(99, Math.floor(100 * now.probability_over_limit_1 + 1e-9))} %)`}`;
   if (p50 === null) return reason ?? "not known";
   return `in ${roundKm(p50)} km (80 %: ${roundKm(p10)} km to ${p90 === null ? "beyond the horizon" : `${roundKm(p90)} km`})${day ? `, about ${date(day)}` : ""}`;
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 from annotated_types import Interval
@@ -108,7 +108,7 @@ class ConicityLimitRule(IntervalsRule):
         if facts.geometry is None or limit is None:
             return None
         geometry, record = facts.geometry.geometry, facts.current_trend
-        trend = None if record is None else record.trend
+        trend = None if record is None else replace(record.trend, raise_probability=self.raise_probability)
         return Believed(limit_state(geometry, trend), limit, limit_now(geometry, trend, limit, facts.mileage))
 
 

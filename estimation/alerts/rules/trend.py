@@ -322,5 +322,5 @@ def limit_forecast_finding(
 
 def _reached_within(distance_km: float, trend: WearTrend, now: LimitNow) -> float | None:
     """Return the probability that the limit is reached within a distance from now; None where not known."""
-    within = probability_within(trend, distance_km + (now.since_trend_km or 0.0))
+    within = probability_within(trend, now.since_trend_km or 0.0, distance_km)
     return None if within is None else max(within, now.probability_over_limit or 0.0)

@@ -83,6 +83,14 @@ def test_one_wheelset_of_each_vehicle_is_left_out_at_a_time() -> None:
     assert sorted((one.vehicle, str(one.wheelset)) for one in pooled_friction(passes, KNOWN)[1]) == wrong
 
 
+@pytest.mark.parametrize("under", [0, 3])
+def test_wheelsets_that_ran_under_two_vehicles_are_pooled_with_both(under: int) -> None:
+    passes = passes_of(4, 0, 1.0)
+    last = 3 if under == 0 else 0
+    again = [replace(a_pass(40 + k, TRUE), wheelset=f"W{4 * last + k}", vehicle=f"V{under}") for k in range(4)]
+    assert pooled_friction([*passes, *again], KNOWN)[1] == ()
+
+
 def test_wheelsets_are_compared_when_wrong_vehicles_are_gone() -> None:
     passes = passes_of(5, 4, 0.3)
     passes[-1] = a_pass(19, TRUE, factor=2.2)

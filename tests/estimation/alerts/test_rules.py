@@ -85,7 +85,7 @@ def test_a_limit_that_comes_near_is_forecast() -> None:
     assert forecast(rule, trend, WHY).breached is None
     assert forecast(rule, refresh(points[:2], 0.4)).breached is None
     assert forecast(rule, refresh([], 0.4)).breached is None
-    never = replace(trend, distance_to_limit_km=Forecast(None, None, None), probability_over_limit=0.01)
+    never = replace(trend, distance_to_limit_km=Forecast(None, None, None), over_ahead=0.01 * trend.over_ahead)
     assert forecast(rule, never).cleared is True
 
 

@@ -154,26 +154,32 @@ def test_the_probability_above_a_limit() -> None:
     assert probability_above(Estimate.unknown(NOTE), 0.2) is None
 
 
-def ahead(forecast: Forecast, now: float | None = 0.04, status: Status = Status.ESTIMATED) -> WearTrend:
+def ahead(status: Status = Status.ESTIMATED) -> WearTrend:
+    """Return a conicity that rises above the limit, and falls again."""
     trend = refresh(points(0.0, 1e4), 0.4)
-    return replace(trend, distance_to_limit_km=forecast, probability_over_limit=now, status=status)
+    km, over = np.array([0.0, 100.0, 300.0, 500.0]), np.array([0.04, 0.1, 0.9, 0.3])
+    return replace(trend, ahead_km=km, over_ahead=over, status=status)
 
 
 @pytest.mark.parametrize(
-    ("distance", "probability"),
-    [(0.0, 0.04), (50.0, 0.07), (100.0, 0.1), (200.0, 0.3), (300.0, 0.5), (500.0, 0.9), (900.0, 0.9)],
+    ("run", "distance", "probability"),
+    [
+        (0.0, 0.0, 0.04),
+        (0.0, 50.0, 0.07),
+        (0.0, 200.0, 0.5),
+        (50.0, 150.0, 0.5),
+        (0.0, 500.0, 0.9),
+        (300.0, 200.0, 0.9),
+        (400.0, 100.0, 0.6),
+        (400.0, 9e9, 0.6),
+        (900.0, 100.0, 0.3),
+    ],
 )
-def test_the_probability_within_a_distance_is_interpolated_between_the_quantiles(
-    distance: float, probability: float
+def test_the_probability_within_a_distance_is_the_greatest_on_the_way(
+    run: float, distance: float, probability: float
 ) -> None:
-    assert probability_within(ahead(Forecast(100.0, 300.0, 500.0)), distance) == pytest.approx(probability)
+    assert probability_within(ahead(), run, distance) == pytest.approx(probability)
 
 
-def test_the_probability_within_a_distance_ends_at_the_last_known_quantile_and_never_falls() -> None:
-    assert probability_within(ahead(Forecast(100.0, 300.0, None)), 900.0) == pytest.approx(0.5)
-    assert probability_within(ahead(Forecast(0.0, 300.0, None), now=0.2), 0.0) == pytest.approx(0.2)
-    assert probability_within(ahead(Forecast(100.0, 300.0, None), now=0.7), 300.0) == pytest.approx(0.7)
-    assert probability_within(ahead(Forecast(100.0, 300.0, 500.0), now=0.7), 500.0) == pytest.approx(0.9)
-    assert probability_within(ahead(Forecast(None, None, None)), 900.0) == pytest.approx(0.04)
-    assert probability_within(ahead(Forecast(1.0, 2.0, 3.0), now=None), 1.0) is None
-    assert probability_within(ahead(Forecast(1.0, 2.0, 3.0), status=Status.UNESTIMATED), 1.0) is None
+def test_the_probability_within_a_distance_is_not_known_without_a_trend() -> None:
+    assert probability_within(ahead(status=Status.UNESTIMATED), 0.0, 1.0) is None

@@ -41,6 +41,8 @@ WEARS = WearTrend(
 )
 FALLS = replace(
     WEARS,
+    value=np.full(3, 0.5),
+    slope_per_1000_km=known(-0.002, 0.0005),
     distance_to_limit_km=Forecast(0.0, 0.0, None),
     date_of_limit_ns=Forecast(float(LAST_NS), float(LAST_NS), None),
     probability_over_limit=0.8,
@@ -103,7 +105,10 @@ def test_a_conicity_that_falls_leaves_the_limit_behind_and_may_come_back_to_it()
     assert SCALE.over(first.probability_over_limit) is not None
     later = after(FALLS, 60_000.0, conicity=0.5)  # its last geometry was over the limit
     assert later.probability_over_limit == pytest.approx(0.02)
-    assert later.distance_to_limit_km == Forecast(30_000.0, 30_000.0, None)
+    # 0.1 is reached again after 0.08 of the 0.58 between the nodes at 60,000 and 90,000 km, 0.5 after 0.48
+    distance = later.distance_to_limit_km
+    assert (distance.p10, distance.p50) == (pytest.approx(3e4 * 0.08 / 0.58), pytest.approx(3e4 * 0.48 / 0.58))
+    assert distance.p90 is None
     assert code_of(later.forecast_reason) is ReasonCode.BEYOND_HORIZON
 
 
@@ -116,6 +121,22 @@ def test_what_the_data_say_by_themselves_counts_from_where_the_alert_is_raised(
     assert after(over_it, 5_000.0).probability_over_limit == pytest.approx(over, abs=1e-3)
 
 
+def test_a_probability_that_sinks_because_the_forecast_widens_leaves_the_data_in_force() -> None:
+    widens = replace(WEARS, value=np.full(3, 0.5), over_ahead=np.array([0.92, 0.88, 0.8, 0.7, 0.6]))
+    assert [after(widens, run_km).probability_over_limit for run_km in (0.0, 1.0, 40_000.0)] == pytest.approx([1.0] * 3)
+    surely_falls = replace(widens, slope_per_1000_km=known(-0.002, 0.001))
+    assert after(surely_falls, 1.0).probability_over_limit == pytest.approx(0.92, abs=1e-3)
+    perhaps_falls = replace(widens, slope_per_1000_km=known(-0.002, 0.00103))
+    assert after(perhaps_falls, 1.0).probability_over_limit == pytest.approx(1.0)
+
+
+def test_the_data_count_from_the_probability_at_which_the_rule_raises_its_alert() -> None:
+    # two last points at 0.5 with a standard deviation of 0.1 are over 0.4 with 0.84
+    over_it = replace(WEARS, value=np.full(3, 0.5), std=np.full(3, 0.1))
+    assert after(over_it, 0.0).probability_over_limit == 0.0
+    assert after(replace(over_it, raise_probability=0.8), 0.0).probability_over_limit == pytest.approx(0.841, abs=1e-3)
+
+
 @given(st.floats(0.0, 3e5), st.integers(0, 7))
 def test_probability_and_distance_agree_on_every_trend(run_km: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -126,6 +147,7 @@ def test_probability_and_distance_agree_on_every_trend(run_km: float, seed: int)
     mileage = MileageNow(points[-1].mileage_km + run_km, points[-1].measured_ns + round(run_km / 1e5 * YEAR_NS))
     now = limit_now(BELOW, trend, LIMIT, mileage)
     assert now.probability_over_limit is not None
+    assert now.probability_over_limit == pytest.approx(np.interp(run_km, trend.ahead_km, trend.over_ahead))
     for far, probability in zip(
         (now.distance_to_limit_km.p10, now.distance_to_limit_km.p50, now.distance_to_limit_km.p90),
         (0.1, 0.5, 0.9),

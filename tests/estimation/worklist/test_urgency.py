@@ -98,7 +98,12 @@ def verdict(
         (ahead(0.0, 900.0, 0.2), [], Urgency.DUE, ["due in 900 km, perhaps already (probability 20%)"]),
         (ahead(0.0, 0.0, 0.999), [], Urgency.OVER_LIMIT, [f"limit exceeded (probability 99%): {TURN}"]),
         (ahead(0.0, 0.0, 0.8999), [], Urgency.PROBABLY_OVER, [f"limit probably exceeded (probability 89%): {TURN}"]),
-        (ahead(0.0, 0.0, 0.7), [alert("measure")], Urgency.PROBABLY_OVER, None),
+        (
+            ahead(0.0, 0.0, 0.7),
+            [alert("measure")],
+            Urgency.PROBABLY_OVER,
+            [f"limit probably exceeded (probability 70%): {TURN}"],
+        ),
         (BEYOND, [alert("conicity_limit", condition=Condition.PENDING)], Urgency.FINE, ["beyond"]),
         (BEYOND, [alert("hunting", condition=Condition.CLEARED)], Urgency.FINE, ["beyond"]),
         (
