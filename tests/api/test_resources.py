@@ -14,6 +14,7 @@ from running_service import Service
 
 from api.schemas import geometry as geometry_schema
 from api.schemas import trend as trend_schema
+from bench.put_values import put_geometry
 from estimation.errors import ParameterError
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.keeping.purge import Purged, record_purge
@@ -204,6 +205,21 @@ def test_as_of_gives_what_was_recorded_then(client: httpx.Client, resource: str)
     assert "until 2025-07-25T15:06:40.123456788Z" in before["reason"]
     assert (before["unestimated_because"], before["provenance"], before["recorded_at"]) == (None, None, None)
     assert client.get(path, params={"as_of": "2200-01-01T00:00:00Z"}).status_code == 422
+
+
+def test_a_trend_of_a_former_profile_is_left_out_now_as_then(service: Service) -> None:
+    path = "/v1/wheelsets/WS-000/trend"
+    latest = service.client.get(path).json()
+    with service.storage.write() as unit:
+        record = unit.geometries.current("WS-000")
+        assert record is not None
+        later = {"recorded_ns": record.recorded_ns + 1, "to_ns": record.to_ns + 1}
+        put_geometry(unit, replace(record, baseline=latest["baseline"] + 1, **later))
+    now = service.client.get(path).json()
+    assert (now["fitted_1"]["value"], now["points"]["value_1"]) == (None, [])
+    then = get(service.client, path, as_of=get(service.client, "/v1/wheelsets/WS-000/geometry")["recorded_at"])
+    assert then["baseline"] == latest["baseline"] + 1
+    assert (then["fitted_1"]["value"], then["points"]["value_1"]) == (None, [])
 
 
 @pytest.mark.parametrize("resource", ["geometry", "trend"])

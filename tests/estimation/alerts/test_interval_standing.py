@@ -19,12 +19,12 @@ from estimation.alerts.rules.rule import AlertDelays, AlertRule, WheelsetFacts, 
 from estimation.alerts.rules.trend import LimitForecastRule
 from estimation.alerts.rules.wheels import WheelAsymmetryRule
 from estimation.trend.extrapolation import conicity_points
-from estimation.trend.trend import refresh
+from estimation.trend.trend import refresh, with_step
 from estimation.values.alerts import Alert, Finding, MileageNow
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry, interval_conicities
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
-from estimation.values.trend import TrendRecord
+from estimation.values.trend import TrendRecord, TrendStep
 
 HIDDEN = Reason(ReasonCode.SENSOR_FAULTY, "faulty")
 NOW_NS = START_NS + 10 * DAY_NS
@@ -95,6 +95,34 @@ def test_a_forecast_that_the_mileage_raised_between_two_intervals_does_not_close
             open_after.append(alert is not None)
     assert open_after[-1]
     assert open_after == sorted(open_after)
+
+
+def test_few_points_behind_a_step_raised_no_forecast_earlier_either() -> None:
+    records = records_of([0.30, 0.31, 0.32, 0.33])
+    facts = facts_of(records)
+    assert facts.trend is not None
+    assert LimitForecastRule().find(facts, 0).stands is True  # type: ignore[union-attr]
+    size = known(-0.2, 0.01)
+    step = TrendStep(0.0, 100.0, 0, 1, 2, size, 0.5, amplitude=3e-3, probability=0.99, before=9, behind=4)
+    few = replace(facts.trend, trend=with_step(facts.trend.trend, step))
+    finding = LimitForecastRule().find(replace(facts, trend=few), 0)
+    assert finding is not None
+    assert (finding.breached, finding.stands) == (None, None)
+
+
+def test_a_forecast_of_a_conicity_that_falls_clears_as_it_runs() -> None:
+    falls = [0.46 - 0.004 * number for number in range(14)]  # 0.408 at the last
+    records = [geometry_record("W", number, 5.0 * number, value) for number, value in enumerate(falls)]
+    facts, rule = facts_of(records), LimitForecastRule()
+
+    def after_km(run_km: float) -> Finding:
+        mileage = MileageNow(records[-1].mileage_km + run_km, records[-1].to_ns + 1)
+        finding = rule.find_now(replace(facts, mileage=mileage))
+        assert finding is not None
+        return finding
+
+    assert after_km(0.0).breached
+    assert after_km(90_000.0).cleared
 
 
 def test_the_three_ways_of_wear_differ() -> None:
