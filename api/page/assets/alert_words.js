@@ -35,7 +35,7 @@ const OF_KIND = {
     ...part(estimated(e.conicity_1), () => `equivalent conicity ${uncertain(e.conicity_1, 3)} at 3 mm${have(e.reached_mm) && e.reached_mm < 3 ? ", extrapolated" : ""}`),
     ...part(estimated(e.reached_1) && have(e.reached_mm) && e.reached_mm < 3, () => `${uncertain(e.reached_1, 3)} at ${number(e.reached_mm, 2)} mm, as far as it moves`),
     ...part(have(e.limit_1 ?? alert.raise_limit), () => `limit ${number(e.limit_1 ?? alert.raise_limit, 3)}`),
-    ...part(have(alert.probability_1), () => `at 3 mm or as far as it moves exceeded with a probability of ${number(100 * alert.probability_1, 1)} %`),
+    ...part(have(alert.probability_1), () => `${estimated(e.reached_1) && have(e.reached_mm) && e.reached_mm < 3 ? "the likelier of the two is over it" : "by the data alone it is exceeded"} with a probability of ${number(100 * alert.probability_1, 1)} %`),
   ],
   limit_forecast: (e) => [
     ...part(have(e.distance_to_limit_km?.p50), () => (e.distance_to_limit_km.p50 > 0 ? `limit reached in ${roundKm(e.distance_to_limit_km.p50)} km` : "limit reached already")),
