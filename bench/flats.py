@@ -50,7 +50,7 @@ class Judged:
     vibration: float
     speed: float  # m/s, mean
     found: bool
-    side_right: bool | None  # None where no side is told
+    side_right: bool | None  # None where none was said
     clipped: float  # share of the samples
 
 
@@ -64,8 +64,8 @@ def judged_windows(seed: int) -> Iterator[Judged]:
     for axle, motion in _motions(scenario):
         vibration = float(rng.choice(VIBRATIONS))
         radius = scenario.vehicles[0].wheelsets[axle].nominal_radius
-        for what, size, felt, left in _cases(motion, radius, rng):
-            values = _measured(scenario, felt, vibration, rng)
+        for what, size, struck, left in _cases(motion, radius, rng):
+            values = _measured(scenario, struck, vibration, rng)
             blows = judged(values, motion.speed[:: scenario.sensors.stride], 1.0 / scenario.sensors.rate_hz)
             believed = blows.sustained and abs(blows.turn_m / (2.0 * np.pi * radius) - 1.0) <= NEAR
             side = None if not believed or blows.side == 0 else (blows.side > 0) == left
@@ -172,13 +172,13 @@ EXPLANATION = (
 
 
 def _line(size: float, flats: Sequence[Judged]) -> tuple[str, ...]:
-    told = [one.side_right for one in flats if one.side_right is not None]
+    sided = [one.side_right for one in flats if one.side_right is not None]
     return (
         f"{size:g} m/s2",
         *(_share([one for one in flats if one.vibration == vibration]) for vibration in VIBRATIONS),
         _share([one for one in flats if one.speed < SLOW]),
         _share([one for one in flats if one.speed >= SLOW]),
-        f"{len(told)} of {sum(one.found for one in flats)}, {sum(told)}",
+        f"{len(sided)} of {sum(one.found for one in flats)}, {sum(sided)}",
     )
 
 
@@ -192,9 +192,9 @@ def bench_rows(found: Sequence[Judged]) -> Iterator[BenchRow]:
     for what in dict.fromkeys(one.what for one in others):
         yield _false(what, [one for one in others if one.what == what])
     yield _false("all without a flat", others)
-    told = [one.side_right for one in found if one.side_right is not None]
-    right = sum(told) / len(told) if told else 0.0
-    yield BenchRow("side, where it is known", f"right in {right:.1%} of {len(told)}", "99.0%", right >= POWER)
+    sided = [one.side_right for one in found if one.side_right is not None]
+    right = sum(sided) / len(sided) if sided else 0.0
+    yield BenchRow("side, where it is known", f"right in {right:.1%} of {len(sided)}", "99.0%", right >= POWER)
 
 
 def _power(what: str, flats: Sequence[Judged], reach: float) -> BenchRow:

@@ -103,7 +103,7 @@ def ended(parts: Iterable[Part], name: str, title: str, command: str | None) -> 
 
 
 Options = Mapping[str, tuple[Any, str]]
-"""Default and help by name; a list takes several values."""
+"""Default and help of each option; a list takes several values."""
 
 
 def options_of(bench: str, about: str, known: Options, arguments: Sequence[str]) -> argparse.Namespace:

@@ -106,12 +106,12 @@ class WindowDueStore:
         statement = select(DUE).where(*of_section)
         return {(row.wheelset, row.start_ns): row.version for row in self.connection.execute(statement)}
 
-    def settle_all(self, stage: str, seen: Mapping[WindowKey, int]) -> None:
+    def remove_seen(self, stage: str, seen: Mapping[WindowKey, int]) -> None:
         """Remove windows that are of the versions that were seen: those that were listed again since stay due."""
         names = ("of_stage", "of_wheelset", "of_start_ns", "of_version")
         if seen:
             rows = [dict(zip(names, (stage, *key, version), strict=True)) for key, version in sorted(seen.items())]
-            self.connection.execute(_settled(), rows)
+            self.connection.execute(_removal(), rows)
 
     def due(self, inputs: StageInputs, keys: Collection[str] | None = None) -> Mapping[str, Due]:
         """Return the windows, some or all, that are due by key as text, in the order of vehicle, time and wheelset."""
@@ -126,12 +126,12 @@ class WindowDueStore:
         return {text_of_key(row.wheelset, row.start_ns): Due(row.version, registry=row.registry) for row in rows}
 
     def list_again(self, stage: str, keys: Sequence[WindowKey]) -> None:
-        """Let windows be due still that a stage is about to settle."""
+        """Let windows be due still that a stage is about to remove."""
         _list_keys(self.connection, (stage,), keys)
 
     def note(self, inputs: StageInputs, marks: Mapping[str, Mark]) -> None:
         """Remove windows that a stage has seen, but those that were listed again since."""
-        self.settle_all(inputs.stage, {key_of_text(key): mark.seen for key, mark in marks.items()})
+        self.remove_seen(inputs.stage, {key_of_text(key): mark.seen for key, mark in marks.items()})
 
 
 def list_due(connection: Connection, stage: str, chosen: ColumnElement[bool], **given: Any) -> None:  # noqa: ANN401
@@ -249,7 +249,7 @@ def _aligned_by_fleet() -> Select[Any]:
 
 
 @cache
-def _settled() -> Delete:
+def _removal() -> Delete:
     same = (DUE.c[name] == bindparam(f"of_{name}") for name in ("stage", "wheelset", "start_ns", "version"))
     return delete(DUE).where(*same)
 

@@ -172,7 +172,7 @@ Record = TypeVar("Record")
 class ReadOnce:
     """Records by kind and key: a transaction that sees one snapshot reads none of them again."""
 
-    snapshot: bool = False  # one that writes reads anew each time
+    snapshot: bool = False  # one that writes reads again each time
     together: set[str] = field(default_factory=set)  # wheelsets of which all is read together
     _records: dict[str, dict[Any, Any]] = field(default_factory=dict)
 

@@ -164,7 +164,7 @@ def taken(value_type: type[T], wider: object, **changes: object) -> T:
 
 
 def _columns(value_type: type, *, optional: bool = False) -> dict[str, Any]:
-    """Return type and default of every field that files have, by name."""
+    """Return type and default of every field that files have."""
     hints, columns = get_type_hints(value_type, include_extras=True), dict[str, Any]()
     for item in fields(value_type):
         metadata = _metadata(hints[item.name])

@@ -1,4 +1,4 @@
-"""Webhooks: made, listed, changed and deleted by who administers their fleets; tried out, moved, signed anew."""
+"""Webhooks: made, listed, changed and deleted by who administers their fleets; tried out, moved, given new secrets."""
 
 from __future__ import annotations
 

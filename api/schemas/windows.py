@@ -85,8 +85,8 @@ class WindowsByReason(Derived, of=WindowsOfReason):
     def made(cls, value: WindowsOfReason, **more: Any) -> Self:  # noqa: ANN401 - as of every derived class
         """Return the representation of windows of one reason."""
         code = code_of(value.reason)
-        told = (None, None) if code is None else (code.meaning, code.remedy or None)
-        return super().made(value, meaning=told[0], what_to_do=told[1], **more)
+        explained = {"meaning": code and code.meaning, "what_to_do": (code and code.remedy) or None}
+        return super().made(value, **explained, **more)
 
 
 class UnestimatedBecause(Derived, of=WithoutEstimate, without=("reason",)):

@@ -39,7 +39,7 @@ class FindingParameters:
     look_back_factor: int = 5  # times the windows that a rule looks at: what was earlier raises nothing any more
     look_back_intervals: int = 24  # intervals of mileage: what was earlier raises nothing any more
     # sensor data
-    reasons_from_windows: int = 20  # windows whose reasons are told by a wheelset without usable ones
+    reasons_from_windows: int = 20  # windows whose reasons are named for a wheelset without usable ones
     # causes of a step: how likely each is beforehand
     turned_prior: float = 0.4
     exchanged_prior: float = 0.35

@@ -138,7 +138,7 @@ def store_verdicts(
     parts = [part for _, outcome in made.values() for part in outcome.parts]
     changed = unit.plausibility.judge({key: why for part in parts for key, why in (part.value or {}).items()})
     read = [inputs for inputs, _ in made.values() if inputs is not None]
-    unit.due.settle_all(DueStage.MILEAGES, {key: version for one in read for key, version in one.seen.items()})
+    unit.due.remove_seen(DueStage.MILEAGES, {key: version for one in read for key, version in one.seen.items()})
     return {"mileages_judged": changed}
 
 

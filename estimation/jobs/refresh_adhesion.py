@@ -206,7 +206,7 @@ def store_friction(
         for span, part in zip(inputs.spans, outcome.parts, strict=True):
             if part.value is not None:
                 counts.update(_store_span(unit, context, span, part.value, inputs.made_with))
-        unit.due.settle_all(FRICTION, inputs.seen)
+        unit.due.remove_seen(FRICTION, inputs.seen)
         if inputs.older_ns is not None:
             unit.adhesion.list_pooled(inputs.section, inputs.older_ns)
     return counts

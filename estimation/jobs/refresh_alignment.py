@@ -246,7 +246,7 @@ def _store(
         passes = sum(len(one.passes.found) for one in part.value.parts)
         counts.update({_COUNTED[part.value.update.outcome]: 1, "windows": len(part.value.due.own), "passes": passes})
         counts["epochs"] += outcome.more  # the last one is counted with the section
-    unit.due.settle_all(DueStage.ALIGNMENT, inputs.seen)
+    unit.due.remove_seen(DueStage.ALIGNMENT, inputs.seen)
     if on_file.seen is not None:
         unit.epochs.list_again(code, [key for key in on_file.changed if key not in own])
         for vehicle, wheelset, digest in on_file.unaffected:

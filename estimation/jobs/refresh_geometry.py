@@ -362,7 +362,7 @@ def store(
     unit.roll_ups.put(parts, context.clock.now_ns())
     unit.tables.note_running({serial: one.mileages for serial, one in due.items()})
     looked_at = {(serial, at_ns): version for serial, one in due.items() for at_ns, version in one.looked_at.items()}
-    unit.due.settle_all(DueStage.SUMS, looked_at)
+    unit.due.remove_seen(DueStage.SUMS, looked_at)
     earlier = {serial: one.rolled.earlier for serial, one in whole.items() if one.rolled.earlier is not None}
     unit.roll_ups.put_states(being_made | {serial: one.state for serial, one in due.items()}, earlier)
     for serial, one in due.items():

@@ -180,7 +180,7 @@ class Stage(Generic[I, V]):
     # where the settings are others
     inline: bool = False
     # whether it is cheaper than handing it out, or its results are brought together: the process that runs the job does
-    # it, without a claim. Not one that goes by due windows: only a claim tells a window that was listed anew from one
+    # it, without a claim. Not one that goes by due windows: only a claim tells a window that was listed again from one
     # that was seen
     here: bool = False
 

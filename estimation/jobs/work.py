@@ -160,7 +160,7 @@ class _Handing:
             handed.failed += 1
         else:
             handed.ended += 1
-        # each key is set aside once it has ended so many workers; a unit is claimed anew each time
+        # each key is set aside once it has ended so many workers; a unit is claimed again each time
         if handed.failed >= WORK.most_tries or handed.ended > MOST_ENDED * len(handed.unit.keys):
             gone = WorkFailedError(f"workers are gone: {type(error).__name__} {error}")
             raise error if isinstance(error, WorkFailedError) else gone

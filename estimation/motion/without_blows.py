@@ -344,11 +344,11 @@ def _fitted(
 ) -> tuple[FloatArray, FloatArray]:
     """Return how large each blow (k,) is over the mean one and how late, s, by its lateral and roll acceleration."""
     sizes, late = before
-    felt = [0, 2]
+    lateral_and_roll = [0, 2]
     at = since - late[number]
-    mean = _valued(shapes[felt], at, knots)
-    slope = -_valued(np.gradient(shapes[felt], BLOWS.knot_s, axis=1), at, knots) * sizes[number]
-    rest = measured[felt] - mean * sizes[number]
+    mean = _valued(shapes[lateral_and_roll], at, knots)
+    slope = -_valued(np.gradient(shapes[lateral_and_roll], BLOWS.knot_s, axis=1), at, knots) * sizes[number]
+    rest = measured[lateral_and_roll] - mean * sizes[number]
 
     def summed(values: FloatArray) -> FloatArray:
         return np.asarray(np.bincount(number, values.sum(axis=0), len(sizes)), np.float64)

@@ -1,7 +1,7 @@
 """What is believed of a wheelset and its limit as of its newest believed mileage: made here, printed everywhere else.
 
 A limit is held at 3 mm (EN 15302). A wheelset that does not move as far is extrapolated; what it does at the largest
-amplitude that it reaches is known better, and a conicity over the limit there is a danger whatever lies beyond. The
+amplitude that it reaches is known better, and a conicity over the limit there is a danger whatever follows. The
 trend is a smooth curve: the last two points of it, both over the limit, are over it too.
 """
 

@@ -262,7 +262,7 @@ class Facet(StrEnum):
 class StageInputs:
     """What a stage declares that it is made from.
 
-    Without facets it goes by the windows that are due (``fleet_db.due``), and settles what it has seen itself.
+    Without facets it goes by the windows that are due (``fleet_db.due``), and removes what it has seen itself.
     """
 
     stage: str

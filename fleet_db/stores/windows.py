@@ -161,7 +161,7 @@ class WindowStore:
         return bool(self.connection.scalar(select(exists().where(*decided))))
 
     def refused_on(self, section: str, codes: Sequence[ReasonCode]) -> Sequence[WindowRecord]:
-        """Return the windows on a section that were refused for some reasons, and whose state is not passed over.
+        """Return the windows on a section that were refused for some reasons and can be looked at again.
 
         Args:
             section: Its code; the empty text stands for windows on none.
@@ -256,7 +256,7 @@ class WindowStore:
             rows = self.connection.execute(statement.order_by(WINDOWS.c.start_ns))
             return by_wheelset(rows, lambda row: (row.start_ns, PassedOver(row.passed_over)))
 
-        return self.once.of_wheelset("passed over", wheelset, read) or ()
+        return self.once.of_wheelset("passed_over", wheelset, read) or ()
 
     def noted(self, wheelset: str) -> frozenset[str]:
         """Return which columns of ``NOTED`` are not null of a window of a wheelset: of most wheelsets none is."""

@@ -220,7 +220,7 @@ def gear_path(
     path = np.zeros((len(speed), FRAME_PATH + AXLE_PATH * gear.axles))
     sensed = np.empty((gear.axles, 4, len(speed)))
     middle = curvature(distance)
-    uncompensated, turning, _ = _felt(p, curves, s, distance, speed, middle)
+    uncompensated, turning, _ = _path_motion(p, curves, s, distance, speed, middle)
     path[:, 0] = -uncompensated
     if gear.bogie is not None:
         path[:, 1] = -turning
@@ -228,7 +228,7 @@ def gear_path(
     for axle, x in enumerate(gear.places):
         at = distance + x
         kappa, turned = curvature(at), heading(at) - heading(distance)
-        uncompensated, turning, rolling = _felt(p, curves, s, at, speed, kappa)
+        uncompensated, turning, rolling = _path_motion(p, curves, s, at, speed, kappa)
         gyroscopic = p.pitch_inertia * speed / p.nominal_radius * rolling / p.yaw_inertia
         path[:, FRAME_PATH + AXLE_PATH * axle : FRAME_PATH + AXLE_PATH * (axle + 1)] = np.column_stack(
             [
@@ -245,7 +245,7 @@ def gear_path(
     return path, sensed
 
 
-def _felt(
+def _path_motion(
     p: VehicleParameters, curves: Curves, s: FloatArray, at: FloatArray, speed: FloatArray, kappa: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return lateral acceleration, yaw acceleration and roll rate of what follows the path with curvature ``kappa``."""

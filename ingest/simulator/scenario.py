@@ -88,7 +88,7 @@ class WheelsetPlan:
     diameter_difference: float  # m, left minus right, at the lathe
     fault: Fault | None
     wheel_files: SideFiles = (None, None)  # measured wheels, before the wear above
-    reprofilings_registered: bool = True  # False: the lathe turned it, and nobody told the registry
+    reprofilings_registered: bool = True  # False: the lathe turned it, and nobody registered it
 
 
 @dataclass(frozen=True, slots=True)

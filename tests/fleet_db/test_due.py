@@ -37,7 +37,7 @@ def test_a_window_stays_due_until_its_newest_version_has_been_seen(fleet: SqlSto
     listed(fleet, 1, 2)
     assert due(fleet) == [1, 1, 2]
     with fleet.write() as unit:
-        unit.due.settle_all(SUMS, {("WS-1", start): version for start, version in seen.items()})
+        unit.due.remove_seen(SUMS, {("WS-1", start): version for start, version in seen.items()})
     assert due(fleet) == [1, 2]
     with fleet.read() as unit:
         statement = sqlalchemy.select(WINDOWS.c.start_ns).where(is_due(SUMS, WINDOWS)).order_by(WINDOWS.c.start_ns)
@@ -56,7 +56,7 @@ def test_wheelsets_are_due_by_their_windows(fleet: SqlStorage) -> None:
         assert unit.marks.due(inputs, 0, ["WS-2"]) == {}
         seen = unit.plausibility.due(["WS-1"])[0]
     with fleet.write() as unit:
-        unit.due.settle_all(DueStage.MILEAGES, seen)
+        unit.due.remove_seen(DueStage.MILEAGES, seen)
         assert unit.marks.due(inputs, 0) == {}
 
 
@@ -68,7 +68,7 @@ def test_what_waits_is_listed_and_what_failed_keeps_its_version(fleet: SqlStorag
         keys = [(one.wheelset, one.start_ns) for one in unit.windows.list("WS-1")]
         unit.windows.mark(*keys[0], WindowState.REFUSED, failed)
         unit.windows.mark(*keys[1], WindowState.ESTIMATED)
-        unit.due.settle_all(DueStage.TABLES, {keys[1]: 1})
+        unit.due.remove_seen(DueStage.TABLES, {keys[1]: 1})
         assert unit.windows.look_again(keys[:2]) == keys[:2]
         assert unit.due.of_wheelset(DueStage.TABLES, "WS-1") == {start_ns: 1 for _, start_ns in keys}
         unit.windows.mark(*keys[0], WindowState.REFUSED, failed)

@@ -45,7 +45,7 @@ def put(storage: SqlStorage, index: int, reason: ReasonCode | None = None, *, pe
             put_table(unit, "WS-1", window.start_ns, make.bin_table(index), None, record.content_digest)
             unit.windows.mark("WS-1", window.start_ns, WindowState.ESTIMATED)
             due = unit.due.of_wheelset(DueStage.SUMS, "WS-1")
-            unit.due.settle_all(DueStage.SUMS, {("WS-1", start): version for start, version in due.items()})
+            unit.due.remove_seen(DueStage.SUMS, {("WS-1", start): version for start, version in due.items()})
         after = unit.windows.get("WS-1", window.start_ns)
     assert after is not None
     return after

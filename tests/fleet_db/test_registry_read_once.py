@@ -90,7 +90,7 @@ def test_a_row_of_the_worklist_is_of_what_another_process_has_changed_meanwhile(
         assert "other profile" in unit.worklist.row("W1")
 
 
-def test_a_restored_database_is_read_anew_even_with_the_same_number_of_changes(known: SqlStorage) -> None:
+def test_a_restored_database_is_read_again_even_with_the_same_number_of_changes(known: SqlStorage) -> None:
     with known.read() as unit:
         assert radius(unit) == RADIUS_M
     with known.write() as unit:  # as a restore does, which changes records without a trace

@@ -75,7 +75,7 @@ def due(unit: SqlUnitOfWork) -> list[WindowKey]:
     return [key_of_text(key) for key in unit.due.due(OF_WINDOWS)]
 
 
-def settle(unit: SqlUnitOfWork) -> None:
+def remove_due(unit: SqlUnitOfWork) -> None:
     unit.due.note(OF_WINDOWS, {key: Mark(one.seen, "") for key, one in unit.due.due(OF_WINDOWS).items()})
 
 
@@ -84,7 +84,7 @@ def test_a_window_is_due_with_its_samples_and_again_with_others(fleet: SqlStorag
     with fleet.write() as unit:
         assert due(unit) == [("WS-1", start_ns)]
         unit.signatures.put_all([made(start_ns, digest)])
-        settle(unit)
+        remove_due(unit)
         assert due(unit) == []
     stored_window(fleet, seed=5)
     with fleet.read() as unit:
@@ -104,7 +104,7 @@ def test_a_damaged_row_is_named_beside_what_is_known_and_made_again_once_it_is_d
         ((wheelset, start_ns, text),) = stored.damaged
         assert (wheelset, start_ns) == ("WS-1", keys[0][0])
         assert "signatures of WS-1@" in text
-        settle(unit)
+        remove_due(unit)
         unit.signatures.drop([(wheelset, start_ns)])
         assert due(unit) == [(wheelset, start_ns)]
 
@@ -116,7 +116,7 @@ def test_a_refusal_is_kept_and_one_for_want_of_the_other_axle_is_tried_again(fle
     for reason, again in ((short, []), (frame, [("WS-1", start_ns)])):
         with fleet.write() as unit:
             unit.signatures.put_all([made(start_ns, digest, reason)])
-            settle(unit)
+            remove_due(unit)
             unit.windows.mark("WS-1", start_ns, WindowState.PENDING)
             assert due(unit) == []
             unit.windows.mark("WS-1", start_ns, WindowState.ESTIMATED)
@@ -127,7 +127,7 @@ def test_signatures_of_other_assumptions_are_due(fleet: SqlStorage) -> None:
     start_ns, digest = stored_window(fleet)
     with fleet.write() as unit:
         unit.signatures.put_all([made(start_ns, digest)])
-        settle(unit)
+        remove_due(unit)
         assert unit.signatures.vehicles(["WS-1", "WS-2"]) == [("WS-1", "V-1")]
         unit.signatures.list_other([("WS-1", "V-1", "a" * 64)])
         assert due(unit) == []

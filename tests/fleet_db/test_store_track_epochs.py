@@ -56,7 +56,7 @@ def epochs(fleet: SqlStorage) -> SqlStorage:
     put_epoch(fleet, 1, (FIRST, SECOND), 1, 1)
     put_epoch(fleet, 2, (THIRD,), 2, 1)
     with fleet.write() as unit:
-        unit.due.settle_all(DueStage.ALIGNMENT, unit.due.of_section(DueStage.ALIGNMENT, "S-7"))
+        unit.due.remove_seen(DueStage.ALIGNMENT, unit.due.of_section(DueStage.ALIGNMENT, "S-7"))
     return fleet
 
 

@@ -237,13 +237,13 @@ def measure_finding(rule: MeasureRule, believed: Believed, decided: Finding, *, 
         and (decided.breached is not None or decided.evidence["unknown_because_code"] == code_of(state.conicity.reason))
     )  # nothing else hides the state
     may_be = at_3_mm >= needed or reached >= rule.raise_probability or open_far or unsaid
-    silent, settled = decided.breached is None and not unsaid, measured or decided.breached is True
+    silent, decisive = decided.breached is None and not unsaid, measured or decided.breached is True
     is_clear = at_3_mm <= rule.clear_probability and reached <= rule.clear_probability and not may_be
     return Finding(
         wheelset=decided.wheelset,
         kind=MeasureRule.kind,
-        breached=None if silent else may_be and not settled,
-        cleared=None if silent else settled or is_clear,
+        breached=None if silent else may_be and not decisive,
+        cleared=None if silent else decisive or is_clear,
         probability=None if silent else number_evidence(over, 3),
         evidence=MeasureEvidence(
             quantity=QUANTITY,

@@ -184,9 +184,9 @@ def test_a_conicity_that_the_data_leave_open_where_a_limit_is_held_may_be_beyond
     assert finding is not None
     assert (finding.breached, finding.cleared) == (breached, None if breached is None else False)
     measured = facts_of(geometry=geometry_record(left_open), limit_rule=LIMIT_RULE, profiles_measured_km=0.0)
-    settled = RULE.find(measured, 0)
-    assert settled is not None
-    assert settled.breached is (None if breached is None else False)
+    after_measuring = RULE.find(measured, 0)
+    assert after_measuring is not None
+    assert after_measuring.breached is (None if breached is None else False)
 
 
 def test_the_last_points_are_those_of_a_trend_that_a_limit_is_held_against() -> None:

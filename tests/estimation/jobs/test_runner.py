@@ -105,7 +105,7 @@ def in_force(facts: Facts) -> dict[str, float | None]:
 
 
 def versions(facts: Facts) -> int:
-    """Return how often readers of the results were told that there are others."""
+    """Return how often readers of the results were notified of others."""
     with facts.storage.read() as unit:
         query = "SELECT coalesce(sum(version), 0) FROM subject_versions WHERE facet = 'length'"
         return int(unit.connection.exec_driver_sql(query).scalar_one())

@@ -31,7 +31,7 @@ def scenario_with(folder: Path, text: str) -> Scenario:
     return read_scenario(path)
 
 
-def felt(scenario: Scenario, campaign: int, axle: int) -> tuple[FloatArray, FloatArray]:
+def blows_of(scenario: Scenario, campaign: int, axle: int) -> tuple[FloatArray, FloatArray]:
     """Return what blows add (4, n), and the distance of the wheelset (n,)."""
     track = scenario_track(scenario)
     run = vehicle_run(scenario, track, scenario.vehicles[0], campaign)
@@ -54,18 +54,18 @@ def test_a_blow_leaves_no_velocity() -> None:
 def test_a_flat_strikes_its_wheelset_once_a_turn(tmp_path: Path, wheel: str, sign: float) -> None:
     plain = scenario_with(tmp_path, "")
     flat = scenario_with(tmp_path, FLAT.format(serial=serial(plain, 0), wheel=wheel, campaign=2))
-    added, distance = felt(flat, 1, 0)
+    added, distance = blows_of(flat, 1, 0)
     peaks = np.flatnonzero((sign * added[0] > 10.0) & (np.diff(sign * added[0] > 10.0, prepend=False)))
     turn = 2.0 * np.pi * flat.vehicles[0].wheelsets[0].nominal_radius
     assert np.diff(distance[peaks]) == pytest.approx(turn, abs=0.06)
     assert np.all(sign * added[2][peaks] < 0.0)
-    assert not felt(flat, 0, 0)[0].any()
-    assert not felt(flat, 1, 1)[0].any()
+    assert not blows_of(flat, 0, 0)[0].any()
+    assert not blows_of(flat, 1, 1)[0].any()
 
 
 def test_blows_of_the_track_are_at_their_places(tmp_path: Path) -> None:
     text = "[section.blows]\nevery_m = 20.0\nblow_m_s2 = 40.0\n"
-    added, distance = felt(scenario_with(tmp_path, text), 0, 0)
+    added, distance = blows_of(scenario_with(tmp_path, text), 0, 0)
     begins = np.flatnonzero(np.diff(np.abs(added[0]) > 0.0, prepend=False) & (np.abs(added[0]) > 0.0))
     assert len(begins) > 1
     assert np.mod(distance[begins] + 0.05, 20.0) == pytest.approx(0.05, abs=0.05)
