@@ -35,7 +35,7 @@ from bench.report import Part, ResultTable, ended, say
 from bench.services import DATABASES, START_S, answers, environment_of, free_port, new_database, started_program, until
 from fleet_db.migrate import upgrade
 from fleet_db.storage import SqlStorage
-from tests.api import api_fleet
+from tests.api import populated_fleet
 from tests.s3_server import running_s3_server
 
 WORKERS = 2
@@ -187,7 +187,7 @@ def _fuzz(seconds: int, report: Path) -> int:
         settings = Settings(data_dir=Path(name), _env_file=None)
         upgrade(settings.url)
         with closing(open_store(settings)) as storage:
-            api_fleet.populate(storage)
+            populated_fleet.populate(storage)
             key = new_key(storage)
         with served(Path(name), None, workers=1) as url:
             command = [sys.executable, "-m", "schemathesis.cli", "--config-file", str(SCHEMATHESIS)]

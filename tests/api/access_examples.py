@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import api_fleet
+import populated_fleet
 
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
 from estimation.values.runs import JobOutcome, JobTrigger
@@ -178,7 +179,7 @@ WITHOUT_NAMES = frozenset(
 
 def populate(storage: SqlStorage) -> Mapping[str, str]:
     """Store the foreign fleets and the caller's own; return the numbers of the alerts."""
-    api_fleet.populate(storage)
+    populated_fleet.populate(storage)
     _own(storage)
     with storage.write() as unit:
         run = unit.jobs.start("estimate_windows", JobTrigger.SCHEDULE, api_fleet.RECORDED + 100)[0]

@@ -9,6 +9,10 @@ import pytest
 from one_database import in_turn
 from populated_service import populated_service
 from running_service import Service
+from webhook_deployment import Deployment, of_two_fleets
+from webhook_receiver import Receiver, receiving
+
+from fleet_db.storage import SqlStorage
 
 
 @pytest.fixture(scope="session", params=in_turn)
@@ -24,3 +28,21 @@ def service(
 def client(service: Service) -> httpx.Client:
     """Return the client alone."""
     return service.client
+
+
+@pytest.fixture
+def deployment(storage: SqlStorage) -> Deployment:
+    """Return a deployment, once on each database."""
+    return of_two_fleets(storage)
+
+
+@pytest.fixture
+def embedded(sqlite_storage: SqlStorage) -> Deployment:
+    """Return one for what does not depend on the database."""
+    return of_two_fleets(sqlite_storage)
+
+
+@pytest.fixture
+def receiver() -> Iterator[Receiver]:
+    with receiving() as found:
+        yield found

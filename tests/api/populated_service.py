@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
-import api_fleet
 import httpx
+import populated_fleet
 import psycopg
 import sqlalchemy
 from running_service import Service, running
@@ -29,7 +29,7 @@ def populated_service(kind: str, folder: Path, postgres_server_url: str) -> Iter
         settings = Settings(data_dir=folder, database_url=url, port=0, log_level="warning", _env_file=None)
         upgrade(settings.url)
         storage = open_store(settings)
-        api_fleet.populate(storage)
+        populated_fleet.populate(storage)
         with running(settings) as address, httpx.Client(base_url=address, timeout=60.0) as client:
             yield Service(address, client, storage)
         storage.close()

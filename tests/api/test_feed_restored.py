@@ -10,6 +10,7 @@ from typing import Any
 
 import api_fleet
 import httpx
+import populated_fleet
 import pytest
 from running_service import running
 from stored_raw import installation, raw_of
@@ -74,7 +75,7 @@ Polling = Callable[[str], Poller]
 @pytest.fixture
 def original(tmp_path: Path) -> Iterator[SqlStorage]:
     with opened(tmp_path / "original") as storage:
-        api_fleet.populate(storage)
+        populated_fleet.populate(storage)
         yield storage
 
 
@@ -132,7 +133,7 @@ def test_a_database_that_was_restored_by_hand_is_found_out_too(
 
 def test_a_cursor_of_another_installation_is_refused(original: SqlStorage, polling: Polling, tmp_path: Path) -> None:
     with opened(tmp_path / "other") as other:
-        api_fleet.populate(other)
+        populated_fleet.populate(other)
         _, cursor = polling("other").poll(None)
     assert "another database" in polling("original").refused(cursor)["detail"]
     with original.read() as unit:

@@ -13,6 +13,7 @@ from typing import Any
 
 import api_fleet
 import httpx
+import populated_fleet
 import pytest
 from running_service import Service, running
 from sqlalchemy import text
@@ -166,7 +167,7 @@ def alone(tmp_path: Path) -> Iterator[SqlStorage]:
     """Yield a database for servers of a test's own."""
     upgrade(settings_of(tmp_path).url)
     storage = open_store(settings_of(tmp_path))
-    api_fleet.populate(storage)
+    populated_fleet.populate(storage)
     yield storage
     storage.close()
 

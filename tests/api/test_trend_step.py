@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from test_alert_evidence import AT, ESTIMATE, STEP, TREND, UNEXPLAINED
+from alert_evidence_cases import AT, ESTIMATE, STEP, TREND, UNEXPLAINED
 
 from api.schemas.trend import trend
 from api.times import to_rfc3339

@@ -10,7 +10,7 @@ import pytest
 import sqlalchemy
 from executed_statements import executed_statements
 from test_receiver import CountingClock, content, files_of
-from vehicle_bus import SECOND_NS, START_NS, VEHICLE, Run, register
+from vehicle_bus import SECOND_NS, START_NS, VEHICLE, Run
 from waiting_windows import waiting_windows
 
 from estimation.values.windows import WindowPosition, WindowState
@@ -21,13 +21,6 @@ from ingest.catalogue import default_catalogue
 from ingest.frames import take
 from ingest.receiver import Receiver
 from ingest.vehicle_class_schema import shipped_class
-
-
-@pytest.fixture
-def registered(storage: SqlStorage) -> SqlStorage:
-    with storage.write() as unit:
-        register(unit)
-    return storage
 
 
 def receiver_on(storage: SqlStorage, directory: Path) -> Receiver:

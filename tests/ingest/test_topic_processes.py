@@ -19,7 +19,7 @@ from pathlib import Path
 import httpx
 import pytest
 from in_process_command import Run
-from kafka_cluster import FAST, NAME, MockCluster, mock_cluster
+from kafka_cluster import FAST, NAME, MockCluster
 from live_listening import eventually
 from rich.console import Console
 from service_process import service_process
@@ -37,12 +37,6 @@ from fleet_db.storage import SqlStorage
 
 ROOT = Path(__file__).parents[2]
 START_S = 60.0
-
-
-@pytest.fixture
-def cluster() -> Iterator[MockCluster]:
-    with mock_cluster() as found:
-        yield found
 
 
 @dataclass(frozen=True)

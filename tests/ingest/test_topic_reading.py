@@ -8,19 +8,13 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 
 import pytest
-from kafka_cluster import MockCluster, mock_cluster
+from kafka_cluster import MockCluster
 from live_listening import PATIENCE_S, eventually
 
 from ingest.topic import client
 from ingest.topic.client import ConsumerStatus, Received, Topic, TopicReader
 
 MESSAGES = [(b"north:L-1", str(number).encode()) for number in range(8)]
-
-
-@pytest.fixture
-def cluster() -> Iterator[MockCluster]:
-    with mock_cluster() as found:
-        yield found
 
 
 @contextmanager

@@ -22,7 +22,7 @@ IN_ORDER = {  # as the page has it: as it is run here
     "restore FOLDER": "restore kept",
 }
 ELSEWHERE = {
-    "ingest --interface ... --channel ... --vehicle ...",  # tests/ingest/test_live_receiver.py
+    "ingest --interface ... --channel ... --vehicle ...",  # tests/ingest/test_live_process.py
     "estimate --job NAME",  # below, for each job
     "schedule",  # these as services of docker-compose.yml: tests/compose
     "schedule &",

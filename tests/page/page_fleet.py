@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import api_fleet
 import measured_fleet
+import populated_fleet
 
 from bench.put_values import put_geometry, put_trend
 from estimation.storage import Storage
@@ -27,7 +28,7 @@ EXTRA = [f"M-{number:04d}" for number in range(250)]
 
 def populate(storage: Storage) -> None:
     """Store everything."""
-    api_fleet.populate(storage)
+    populated_fleet.populate(storage)
     measured_fleet.measure(storage)
     with storage.write() as unit:
         for serial in (MARKUP, UNSEEN, FORMULA, *EXTRA):

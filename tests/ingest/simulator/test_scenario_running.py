@@ -169,3 +169,13 @@ def test_wheelsets_of_another_radius_get_contact_and_motion_of_that_radius(tmp_p
     assert float(table.rolling_radius_left.mean()) == pytest.approx(0.42, abs=5e-3)
     (motion,) = axle_motions(small, track, run, (0,), [table])
     assert motion.outside == 0
+
+
+def test_a_scenario_can_stop(tmp_path: Path) -> None:
+    text = SMALL.replace(
+        "lowest_m_s = 15.0", "lowest_m_s = 15.0\nstop_every_s = 12.0\nstop_s = 2.0\nbraking_m_s2 = 1.5"
+    )
+    scenario = scenario_of(tmp_path, text)
+    run = vehicle_run(scenario, scenario_track(scenario), scenario.vehicles[0], 0)
+    assert (run.speed == 0.0).sum() == pytest.approx(2000, abs=2)
+    assert np.abs(np.diff(run.speed)).max() < 1.6e-3
