@@ -1,7 +1,8 @@
 """Schema of a vehicle class, in the units of its file: an entry of its own file and of a registry file.
 
 Every parameter is a number, or a table ``{ value = , std = }`` with its standard deviation in the same unit. Without
-one, that of its kind holds (``default_relative_std``).
+one, that of its kind holds (``default_relative_std``). The text beside the type of a key is the field of
+``VehicleParameters`` or ``BogieParameters`` that it becomes.
 """
 
 from __future__ import annotations
@@ -91,32 +92,32 @@ def _zero() -> _NotNegativeNumber:
 class WheelsetTable(InputTable):
     """``wheelset``: one wheelset and what it carries."""
 
-    mass_kg: PositiveUncertain
-    yaw_inertia_kg_m2: PositiveUncertain
-    pitch_inertia_kg_m2: PositiveUncertain
-    nominal_radius_mm: WheelLength
-    half_contact_distance_mm: WheelLength
-    suspended_mass_kg: PositiveUncertain | None = None  # what it carries laterally
-    axle_load_n: PositiveUncertain | None = None  # by default (wheelset + suspended mass) g
+    mass_kg: Annotated[PositiveUncertain, "wheelset_mass"]
+    yaw_inertia_kg_m2: Annotated[PositiveUncertain, "yaw_inertia"]
+    pitch_inertia_kg_m2: Annotated[PositiveUncertain, "pitch_inertia"]
+    nominal_radius_mm: Annotated[WheelLength, "nominal_radius"]
+    half_contact_distance_mm: Annotated[WheelLength, "half_contact_distance"]
+    suspended_mass_kg: Annotated[PositiveUncertain | None, "suspended_mass"] = None  # what it carries laterally
+    axle_load_n: Annotated[PositiveUncertain | None, "load"] = None  # by default (wheelset + suspended mass) g
 
 
 class PrimaryTable(InputTable):
     """``primary_suspension``: between one wheelset and the frame or mass, both axle boxes together."""
 
-    lateral_stiffness_n_m: PositiveUncertain
-    lateral_damping_n_s_m: NotNegativeUncertain
-    yaw_stiffness_n_m_rad: PositiveUncertain
-    yaw_damping_n_m_s_rad: NotNegativeUncertain = Field(default_factory=_zero)
+    lateral_stiffness_n_m: Annotated[PositiveUncertain, "lateral_stiffness"]
+    lateral_damping_n_s_m: Annotated[NotNegativeUncertain, "lateral_damping"]
+    yaw_stiffness_n_m_rad: Annotated[PositiveUncertain, "yaw_stiffness"]
+    yaw_damping_n_m_s_rad: Annotated[NotNegativeUncertain, "yaw_damping"] = Field(default_factory=_zero)
 
 
 class CreepTable(InputTable):
     """``creep``: the coefficients of one wheel as numbers, or what Kalker's follow from."""
 
     source: Literal["given", "kalker"] = Field(alias="from")
-    longitudinal_n: PositiveUncertain | None = None
-    lateral_n: PositiveUncertain | None = None
-    lateral_spin_n_m: NotNegativeUncertain | None = None
-    spin_n_m2: NotNegativeUncertain | None = None
+    longitudinal_n: Annotated[PositiveUncertain | None, "longitudinal_creep_coefficient"] = None
+    lateral_n: Annotated[PositiveUncertain | None, "lateral_creep_coefficient"] = None
+    lateral_spin_n_m: Annotated[NotNegativeUncertain | None, "lateral_spin_creep_coefficient"] = None
+    spin_n_m2: Annotated[NotNegativeUncertain | None, "spin_creep_coefficient"] = None
     rail_head_radius_mm: PositiveUncertain | None = None
     wheel_transverse_radius_mm: AnyUncertain | None = None  # by default a straight cone; hollow is negative
     wheel_rolling_radius_mm: PositiveUncertain | None = None  # by default the nominal radius
@@ -140,19 +141,19 @@ class CreepTable(InputTable):
 class BogieTable(InputTable):
     """``bogie``: the frame and what it carries."""
 
-    wheelbase_m: PositiveUncertain
-    frame_mass_kg: PositiveUncertain
-    frame_yaw_inertia_kg_m2: PositiveUncertain
-    body_mass_kg: PositiveUncertain  # of the body that rests on one bogie
+    wheelbase_m: Annotated[PositiveUncertain, "wheelbase"]
+    frame_mass_kg: Annotated[PositiveUncertain, "frame_mass"]
+    frame_yaw_inertia_kg_m2: Annotated[PositiveUncertain, "frame_yaw_inertia"]
+    body_mass_kg: Annotated[PositiveUncertain, "body_mass"]  # of the body that rests on one bogie
 
 
 class SecondaryTable(InputTable):
     """``secondary_suspension``: between one bogie and the body."""
 
-    lateral_stiffness_n_m: NotNegativeUncertain = Field(default_factory=_zero)
-    lateral_damping_n_s_m: NotNegativeUncertain = Field(default_factory=_zero)
-    yaw_stiffness_n_m_rad: NotNegativeUncertain = Field(default_factory=_zero)
-    yaw_damping_n_m_s_rad: NotNegativeUncertain = Field(default_factory=_zero)
+    lateral_stiffness_n_m: Annotated[NotNegativeUncertain, "secondary_lateral_stiffness"] = Field(default_factory=_zero)
+    lateral_damping_n_s_m: Annotated[NotNegativeUncertain, "secondary_lateral_damping"] = Field(default_factory=_zero)
+    yaw_stiffness_n_m_rad: Annotated[NotNegativeUncertain, "secondary_yaw_stiffness"] = Field(default_factory=_zero)
+    yaw_damping_n_m_s_rad: Annotated[NotNegativeUncertain, "secondary_yaw_damping"] = Field(default_factory=_zero)
 
 
 class VehicleClassEntry(InputTable):
@@ -260,39 +261,23 @@ class VehicleClassEntry(InputTable):
         )
         rail_std = kalker.RAIL_CONDITION_STD if creep.relative_std is None else creep.relative_std
         std = kalker.creep_coefficient_std(radii, radii_std, rail_std)
-        return {field: (getattr(values, name), getattr(std, name)) for field, name in _CREEP_FIELDS.items()}
+        return {f"{name}_creep_coefficient": (getattr(values, name), getattr(std, name)) for name in _CREEP}
 
 
-_CREEP_FIELDS: Mapping[str, str] = {
-    "longitudinal_creep_coefficient": "longitudinal",
-    "lateral_creep_coefficient": "lateral",
-    "lateral_spin_creep_coefficient": "lateral_spin",
-    "spin_creep_coefficient": "spin",
+_CREEP = ("longitudinal", "lateral", "lateral_spin", "spin")
+_TABLES: Mapping[str, type[InputTable]] = {
+    "wheelset": WheelsetTable,
+    "primary_suspension": PrimaryTable,
+    "creep": CreepTable,
+    "bogie": BogieTable,
+    "secondary_suspension": SecondaryTable,
 }
 _LOCATIONS: Mapping[str, tuple[str, str]] = {  # table and key of a field of VehicleParameters or BogieParameters
-    "wheelset_mass": ("wheelset", "mass_kg"),
-    "yaw_inertia": ("wheelset", "yaw_inertia_kg_m2"),
-    "pitch_inertia": ("wheelset", "pitch_inertia_kg_m2"),
-    "nominal_radius": ("wheelset", "nominal_radius_mm"),
-    "half_contact_distance": ("wheelset", "half_contact_distance_mm"),
-    "suspended_mass": ("wheelset", "suspended_mass_kg"),
-    "load": ("wheelset", "axle_load_n"),
-    "lateral_stiffness": ("primary_suspension", "lateral_stiffness_n_m"),
-    "lateral_damping": ("primary_suspension", "lateral_damping_n_s_m"),
-    "yaw_stiffness": ("primary_suspension", "yaw_stiffness_n_m_rad"),
-    "yaw_damping": ("primary_suspension", "yaw_damping_n_m_s_rad"),
-    "longitudinal_creep_coefficient": ("creep", "longitudinal_n"),
-    "lateral_creep_coefficient": ("creep", "lateral_n"),
-    "lateral_spin_creep_coefficient": ("creep", "lateral_spin_n_m"),
-    "spin_creep_coefficient": ("creep", "spin_n_m2"),
-    "wheelbase": ("bogie", "wheelbase_m"),
-    "frame_mass": ("bogie", "frame_mass_kg"),
-    "frame_yaw_inertia": ("bogie", "frame_yaw_inertia_kg_m2"),
-    "body_mass": ("bogie", "body_mass_kg"),
-    "secondary_lateral_stiffness": ("secondary_suspension", "lateral_stiffness_n_m"),
-    "secondary_lateral_damping": ("secondary_suspension", "lateral_damping_n_s_m"),
-    "secondary_yaw_stiffness": ("secondary_suspension", "yaw_stiffness_n_m_rad"),
-    "secondary_yaw_damping": ("secondary_suspension", "yaw_damping_n_m_s_rad"),
+    field: (table, key)
+    for table, model in _TABLES.items()
+    for key, info in model.model_fields.items()
+    for field in info.metadata
+    if isinstance(field, str)
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -36,9 +37,12 @@ def list_keys() -> None:
 @keys.command("revoke")
 def revoke_key(prefix: Annotated[str, typer.Argument(help="Prefix of the key.")]) -> None:
     """Revoke a key for ever; a running service refuses it after at most 5 s."""
-    from api.terminal.keys import revoke_and_print
+    from api.terminal.store import note, writing
 
-    revoke_and_print(prefix)
+    with writing() as unit:
+        revoked = unit.api_keys.revoke(prefix, time.time_ns())
+        note(unit, "keys", "revoke", revoked.prefix)
+    typer.echo(f"key {revoked.prefix} of {revoked.owner} is revoked")
 
 
 webhooks = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
@@ -113,9 +117,13 @@ def replay_webhook(
 @webhooks.command("delete")
 def delete_webhook(number: Number) -> None:
     """Delete it with its secrets and the records of its deliveries."""
-    from api.terminal.webhooks import delete_and_print
+    from api.terminal.store import note, writing
 
-    delete_and_print(number)
+    with writing() as unit:
+        unit.webhooks.locked(number)
+        unit.webhooks.delete(number)
+        note(unit, "webhooks", "delete", str(number))
+    typer.echo(f"webhook {number} is deleted")
 
 
 def feed(

@@ -48,9 +48,18 @@ def check_database(
 @db.command("purge")
 def purge_database() -> None:
     """Delete what has been kept long enough (TREADWATCH_RETENTION_FILE), in small batches, while services run."""
-    from api.terminal.keeping import purge_and_report
+    from contextlib import closing
 
-    purge_and_report()
+    from api.factory import SystemClock, open_store, raw_store, retention_of
+    from api.settings import load_settings
+    from fleet_db.keeping.purge import purge
+
+    settings = load_settings()
+    with closing(open_store(settings)) as storage:
+        done = purge(storage, raw_store(settings), retention_of(settings), SystemClock().now_ns(), lambda: None)
+    for purged in done:
+        size = f", {purged.item_bytes:,} bytes" if purged.item_bytes else ""
+        typer.echo(f"{purged.kind.value.replace('_', ' ')}: {purged.items:,} deleted{size}")
 
 
 @db.command("stats")
@@ -180,10 +189,7 @@ def schedule(
 
     settings = load_settings(workers=workers, dask_scheduler=dask_scheduler)
     stopping = begun(settings)
-    opened = store_once_it_answers(settings, stopping)
-    if opened is None:
-        return
-    with closing(opened) as storage, executor_of(settings) as executor:
+    with closing(store_once_it_answers(settings, stopping)) as storage, executor_of(settings) as executor:
         context = replace(job_context(settings, storage), executor=executor)
         jobs = (*scheduled_jobs(settings), *upkeep_jobs(settings))
         serve_jobs(context, jobs, stopping, holder=process_name(), wait=wait)
@@ -205,10 +211,8 @@ def worker(*, workers: Workers = None, dask_scheduler: DaskScheduler = None) -> 
     logs.configure(settings)
     stopping = threading.Event()
     stop_on_signals(stopping)
-    opened = store_once_it_answers(settings, stopping)
-    if opened is not None:
-        opened.close()
-        serve_dask(settings.dask_scheduler, settings, stopping)
+    store_once_it_answers(settings, stopping).close()
+    serve_dask(settings.dask_scheduler, settings, stopping)
 
 
 def estimate(

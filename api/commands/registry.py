@@ -56,9 +56,12 @@ def check(file: _File, *, confirm: _Confirmed = None) -> None:
 @registry.command("export")
 def export(file: Annotated[Path, typer.Argument(metavar="FILE", help="Registry file to be written.")]) -> None:
     """Write the registry as a file that loads to the same registry, and the files it names beside it."""
-    from api.terminal.registry import export_and_report
+    from api.terminal.store import reading
+    from ingest.registry_export import write_export
 
-    export_and_report(file)
+    with reading() as unit:
+        written = write_export(file, unit)
+    typer.echo(f"wrote {file}: {written.records:,} records, {len(written.files):,} files beside it")
 
 
 @registry.command("void")
@@ -97,9 +100,10 @@ _Conicity = Annotated[float, typer.Option(min=0.005, max=1.0, help="Equivalent c
 @vehicle.command("list")
 def list_classes() -> None:
     """List the classes that are shipped."""
-    from api.terminal.vehicle import class_list
+    from ingest.vehicle_class_schema import shipped_class, shipped_classes
 
-    typer.echo(class_list())
+    for item in map(shipped_class, shipped_classes()):
+        typer.echo(f"{item.code:<12}{item.arrangement:<17}{item.name}")
 
 
 @vehicle.command("show")

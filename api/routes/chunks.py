@@ -16,9 +16,9 @@ from api.asking import CODE, AskedDep
 from api.middleware import turn_of
 from api.problems import ProblemError, described
 from api.routes.recordings import why_in_state
-from api.schemas.common import Links, Representation, segment
+from api.schemas.common import Derived
 from api.services import ServicesDep
-from api.times import Timestamp, to_rfc3339
+from api.times import Timestamp
 from estimation.errors import ConflictError
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import TRIED_AGAIN
@@ -38,14 +38,27 @@ class ChunkProgress(StrEnum):
     DELETED = "deleted"
 
 
-class Chunk(Representation):
+_NOT_SERVED = (
+    *("digest", "suffix", "state", "reason", "first_ns", "last_ns", "frames", "counts", "recorded_ns", "purged_ns"),
+    "clock_checked_ns",
+)
+
+
+class Chunk(
+    Derived,
+    of=ChunkRecord,
+    without=_NOT_SERVED,
+    columns="sha256 vehicle format file_name size_bytes received_at sender state reason reason_code links",
+    links={
+        "self": "/v1/chunks/{digest}",
+        "recording": "/v1/recordings/{digest}",
+        "vehicle": "/v1/vehicles/{vehicle}",
+    },
+):
     """The receipt of a chunk: its bytes are on the disk, and it will be decoded without being sent again."""
 
     sha256: str = Field(description="Of its bytes: its identity.", examples=["ab" * 32])
-    vehicle: str = Field(description="Code of the vehicle that it came for; it need not be registered.")
     format: str = Field(description="Of its bytes.", examples=["blf"])
-    file_name: str | None = Field(description="Under which it came.")
-    size_bytes: int = Field(description="Of its bytes as they came.")
     received_at: Timestamp = Field(description="When its receipt was committed, by our clock.")
     sender: str | None = Field(description="Who sent it; null where access is open, or it came another way.")
     state: ChunkProgress = Field(
@@ -54,27 +67,12 @@ class Chunk(Representation):
     )
     reason: str | None = Field(description="Why it is in this state; null where there is nothing to say.")
     reason_code: ReasonCode | None = Field(description="Why it is in this state; null where there is nothing to say.")
-    links: Links
 
 
 def chunk(record: ChunkRecord) -> Chunk:
     """Return the representation of a receipt."""
-    return Chunk(
-        sha256=record.digest,
-        vehicle=record.vehicle,
-        format=record.suffix.removeprefix("."),
-        file_name=record.file_name,
-        size_bytes=record.size_bytes,
-        received_at=to_rfc3339(record.received_ns),
-        sender=record.sender,
-        state=progress(record),
-        **why_in_state(record),
-        links={
-            "self": f"/v1/chunks/{record.digest}",
-            "recording": f"/v1/recordings/{record.digest}",
-            "vehicle": f"/v1/vehicles/{segment(record.vehicle)}",
-        },
-    )
+    own = {"sha256": record.digest, "format": record.suffix.removeprefix("."), "state": progress(record)}
+    return Chunk.made(record, **own, **why_in_state(record))
 
 
 def progress(record: ChunkRecord) -> ChunkProgress:

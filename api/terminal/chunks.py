@@ -43,15 +43,12 @@ def work(*, once: bool) -> None:
     """Decode what is received until a stop is requested."""
     settings, clock = load_settings(), SystemClock()
     stopping = begun(settings)
-    opened = store_once_it_answers(settings, stopping)
-    if opened is None:
-        return
 
     def checkpoint(done: int, total: int) -> None:
         if stopping.is_set():
             raise StoppedError(done, total)
 
-    with closing(opened) as storage, suppress(StoppedError):
+    with closing(store_once_it_answers(settings, stopping)) as storage, suppress(StoppedError):
         decoder = receiver(settings, storage, clock)
         while not stopping.is_set():
             done = DecodedChunks()
@@ -93,8 +90,6 @@ def watch(folder: Path, vehicle: str | None, quiet_s: float, *, once: bool) -> N
     stop_on_signals(stopping)
     with held_folder(folder):
         opened = store_once_it_answers(settings, stopping)
-        if opened is None:
-            return
         with closing(opened) as storage, publishing(settings, lambda: storage) as announce:
             raw = raw_store(settings)
             wanted = DropSettings(
@@ -144,8 +139,6 @@ def consume(health: HealthAddress | None) -> None:
         raise ParameterError(reason, field=f"{PREFIX}KAFKA_SERVERS")
     stopping, status = begun(settings), ConsumerStatus()
     opened = store_once_it_answers(settings, stopping)
-    if opened is None:
-        return
     reader = with_named_setting(lambda: TopicReader(topic, status))
     work = _Work(settings, opened, topic, status, stopping)
     status.thread = threading.Thread(target=work.run, args=(reader,), name="consumer", daemon=True)

@@ -14,7 +14,6 @@ from api.settings import load_settings
 from api.terminal.progress import counted
 from fleet_db.keeping.backup import BackupPlan, back_up
 from fleet_db.keeping.checks import check_deep
-from fleet_db.keeping.purge import purge
 from fleet_db.keeping.restore import Installation, restore
 from fleet_db.keeping.stored_bytes import StoredBytes, StoredKind, stored_bytes
 
@@ -66,16 +65,6 @@ def check_and_report() -> None:
         typer.echo(f"and {len(lines) - LISTED:,} more")
     if check.damaged:
         raise typer.Exit(1)
-
-
-def purge_and_report() -> None:
-    """Delete what has been kept long enough and print how much of each kind."""
-    settings = load_settings()
-    with closing(open_store(settings)) as storage:
-        done = purge(storage, raw_store(settings), retention_of(settings), SystemClock().now_ns(), lambda: None)
-    for purged in done:
-        size = f", {purged.item_bytes:,} bytes" if purged.item_bytes else ""
-        typer.echo(f"{purged.kind.value.replace('_', ' ')}: {purged.items:,} deleted{size}")
 
 
 def _list(what: str, lines: tuple[str, ...]) -> None:

@@ -11,7 +11,7 @@ import typer
 from api.access.keys import Wanted, make_key
 from api.factory import open_store
 from api.settings import Settings, load_settings
-from api.terminal.store import columns, note, reading, second_text, user_here, writing
+from api.terminal.store import columns, note, reading, second_text, user_here
 from estimation.errors import ParameterError
 from estimation.values.units import DAY_NS
 from fleet_db.records import ApiKey
@@ -50,14 +50,6 @@ def key_list() -> str:
     with reading() as unit:
         keys, now_ns = unit.api_keys.page(None, None), time.time_ns()
     return columns([KEY_HEAD, *(_key_row(key, now_ns) for key in keys)])
-
-
-def revoke_and_print(prefix: str) -> None:
-    """Revoke a key and say so."""
-    with writing() as unit:
-        revoked = unit.api_keys.revoke(prefix, time.time_ns())
-        note(unit, "keys", "revoke", revoked.prefix)
-    typer.echo(f"key {revoked.prefix} of {revoked.owner} is revoked")
 
 
 def _key_row(key: ApiKey, now_ns: int) -> tuple[str, ...]:

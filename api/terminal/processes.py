@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 
+import typer
+
 from api import logs
 from api.factory import once_the_database_answers, open_store
 from api.logs import start_tracing
@@ -25,9 +27,12 @@ def begun(settings: Settings) -> threading.Event:
     return stopping
 
 
-def store_once_it_answers(settings: Settings, stopping: threading.Event) -> SqlStorage | None:
-    """Return the opened database as soon as it answers; None when a stop is asked for before."""
-    return once_the_database_answers(partial(open_store, settings), settings, stopping)
+def store_once_it_answers(settings: Settings, stopping: threading.Event) -> SqlStorage:
+    """Return the opened database as soon as it answers; the command ends when a stop is asked for before."""
+    opened = once_the_database_answers(partial(open_store, settings), settings, stopping)
+    if opened is None:
+        raise typer.Exit
+    return opened
 
 
 @contextmanager

@@ -17,7 +17,6 @@ from fleet_db.records import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.stores.registry_history import RecordKey
 from ingest.registry_entry.contents import Entry, LoadedRegistry, RegistryRefusedError, Rule
 from ingest.registry_entry.enter import refuse_contradicted
-from ingest.registry_export import write_export
 from ingest.registry_file import load_registry
 
 LONG = ("packed", "parameters", "bogie", "sensors", "relative_std")  # values of a record that are not for reading
@@ -138,13 +137,6 @@ def check_and_report(file: Path, confirmed: Sequence[Rule]) -> None:
     if lines:
         raise typer.Exit(CONTRADICTED)
     typer.echo(f"{file}: nothing is wrong with it")
-
-
-def export_and_report(file: Path) -> None:
-    """Write the registry as a file, and print how much it holds."""
-    with reading() as unit:
-        export = write_export(file, unit)
-    typer.echo(f"wrote {file}: {export.records:,} records, {len(export.files):,} files beside it")
 
 
 def refusal_lines(error: RegistryRefusedError) -> list[str]:

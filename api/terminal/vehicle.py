@@ -17,12 +17,6 @@ ERROR, SCALE_ERROR = 0.1, 0.01
 LEAST_SHIFT = 5e-5  # of a conicity, that is printed
 
 
-def class_list() -> str:
-    """Return one line for each shipped class."""
-    classes = [shipped_class(code) for code in shipped_classes()]
-    return "\n".join(f"{item.code:<12}{item.arrangement:<17}{item.name}" for item in classes)
-
-
 def named_class(name: str) -> VehicleClass:
     """Return the class of a file, or a shipped one."""
     path = Path(name)

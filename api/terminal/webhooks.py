@@ -95,15 +95,6 @@ def replay_and_print(number: int, after: str | None, from_time: str | None) -> N
     typer.echo(f"webhook {number} goes on behind event {place}")
 
 
-def delete_and_print(number: int) -> None:
-    """Delete a webhook and say so."""
-    with writing() as unit:
-        unit.webhooks.locked(number)
-        unit.webhooks.delete(number)
-        note(unit, "webhooks", "delete", str(number))
-    typer.echo(f"webhook {number} is deleted")
-
-
 def _webhook_row(webhook: Webhook, waiting: Delivery | None) -> Sequence[str]:
     state = webhook.state.value
     if webhook.disabled_reason is not None:
