@@ -19,9 +19,8 @@ from prometheus_client import CollectorRegistry
 
 from api import contract, problems
 from api.access.gate import authorise
-from api.access.guard import AccessPlan, allow_pages, guard_of
+from api.access.guard import allow_pages, guard_of
 from api.feed.watch import FeedWatch, WaitingPlaces, ending
-from api.http_server import HttpLimits
 from api.measures import Measured, reference_measures
 from api.metrics import RequestMeasures, stored_measures, upload_measures
 from api.middleware import HeadMiddleware, RequestContextMiddleware
@@ -47,8 +46,9 @@ from api.routes import (
     worklist,
 )
 from api.services import Services, visible
+from api.settings import Settings
 from api.webhooks.delivering import INTERVAL_S, PATIENCE_S, deliver
-from api.webhooks.sending import TRIALS, Sender, Targets
+from api.webhooks.sending import TRIALS, sender_of
 from estimation.errors import TreadwatchError
 
 RESOURCES = (
@@ -126,13 +126,8 @@ def committed_document() -> bytes:
     return files("api").joinpath(COMMITTED).read_bytes()
 
 
-def build_app(
-    services: Services | None,
-    limits: HttpLimits | None = None,
-    plan: AccessPlan | None = None,
-    sender: Sender | None = None,
-) -> FastAPI:
-    """Return the app of these services; while they are None all but ``/healthz`` and ``/metrics`` is refused."""
+def build_app(settings: Settings) -> FastAPI:
+    """Return the app; until it has its ``state.services`` all but ``/healthz`` and ``/metrics`` is refused."""
     app = describe()
     registry = CollectorRegistry(auto_describe=False)
     registry.register(Measured(lambda: stored_measures(app.state.services)))
@@ -140,20 +135,19 @@ def build_app(
     registry.register(
         Measured(lambda: reference_measures(None if (ours := app.state.services) is None else ours.references))
     )
-    app.state.services = services
+    app.state.services = None
     app.state.registry = registry
     app.state.document = committed_document()
     app.state.contracts = contract.contracts_of(orjson.loads(app.state.document))
-    guard = guard_of(plan or AccessPlan(), lambda: app.state.services.storage)
+    guard = guard_of(settings, lambda: app.state.services.storage)
     app.state.access_book = guard.book
-    limits = limits or HttpLimits()
     app.state.feed_watch = FeedWatch(lambda: None if (ours := app.state.services) is None else ours.storage, ending)
-    app.state.waiting_places = WaitingPlaces(limits.streams, guard.streams)
+    app.state.waiting_places = WaitingPlaces(settings.max_streams, guard.streams)
     registry.register(Measured(app.state.waiting_places.measures))
-    app.state.webhook_sender = sender or Sender(Targets())
+    app.state.webhook_sender = sender_of(settings)
     app.state.webhook_trials = asyncio.Semaphore(TRIALS)
     app.add_middleware(HeadMiddleware)
-    app.add_middleware(RequestContextMiddleware, measures=RequestMeasures(registry), limits=limits, access=guard)
+    app.add_middleware(RequestContextMiddleware, measures=RequestMeasures(registry), settings=settings, access=guard)
     allow_pages(app, guard.origins)
     return app
 

@@ -26,7 +26,6 @@ from api.measures import Measured, counter
 from api.settings import PREFIX, Settings
 from estimation.errors import ParameterError
 
-MAX_BODY_BYTES = 1 << 20
 MAX_HEAD_BYTES = 16 << 10  # request line and headers of one request
 REQUESTS = 100  # requests that are answered at the same time; beyond, 503
 SEND_TIMEOUT_S = 30.0  # how long a client may leave an answer unread, in seconds
@@ -36,29 +35,9 @@ RESERVED_DESCRIPTORS = 64 + 5 * ACCEPTED_AT_ONCE
 """For the database, the data folder, the log, the server itself, and connections that are being closed."""
 
 
-@dataclass(frozen=True, slots=True)
-class HttpLimits:
-    """What a request may take: time until its body is there and until it is answered, size of the body.
-
-    ``streams`` is how many clients may wait for news, with a stream or a long poll.
-    """
-
-    body_timeout_s: float = 30.0
-    request_timeout_s: float = 60.0
-    max_body_bytes: int = MAX_BODY_BYTES
-    streams: int = 500
-
-
 def is_upload(scope: Scope) -> bool:
     """Return whether a request sends a chunk, whose route takes the body piece by piece."""
     return bool(scope["method"] == "PUT" and scope["path"].startswith("/v1/chunks/"))
-
-
-def limits_of(settings: Settings) -> HttpLimits:
-    """Return the limits that a deployment sets."""
-    return HttpLimits(
-        settings.body_timeout_s, settings.request_timeout_s, settings.max_body_kb << 10, settings.max_streams
-    )
 
 
 def open_connections(wanted: int) -> int:

@@ -16,9 +16,10 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.access.guard import Access
-from api.http_server import MAX_BODY_BYTES, MAX_HEAD_BYTES, REQUESTS, HttpLimits, is_upload
+from api.http_server import MAX_HEAD_BYTES, REQUESTS, is_upload
 from api.metrics import RequestMeasures
 from api.problems import ProblemError, from_error, problem_response
+from api.settings import Settings
 
 ALWAYS_ANSWERED = "/healthz"
 WITHOUT_DATABASE = (ALWAYS_ANSWERED, "/metrics")  # what is answered before the database has answered for the first time
@@ -104,11 +105,11 @@ def turn_of(scope: Scope) -> Turn:
 class RequestContextMiddleware:
     """ASGI middleware; one instance an app."""
 
-    def __init__(self, app: ASGIApp, measures: RequestMeasures, limits: HttpLimits, access: Access) -> None:
+    def __init__(self, app: ASGIApp, measures: RequestMeasures, settings: Settings, access: Access) -> None:
         self.app = app
         self.access = access
         self.measures = measures
-        self.limits = limits
+        self.settings = settings
         self._running = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -129,7 +130,8 @@ class RequestContextMiddleware:
                 _refuse_without_database(scope)
                 await self.access.gate.admit(scope)
                 if not is_upload(scope):
-                    receive = await with_body(scope, receive, self.limits.body_timeout_s, self.limits.max_body_bytes)
+                    within = (self.settings.body_timeout_s, self.settings.max_body_kb << 10)
+                    receive = await with_body(scope, receive, *within)
                 await self._run(scope, receive, answer)
             except Exception as error:
                 if answer.status is not None:
@@ -159,17 +161,18 @@ class RequestContextMiddleware:
             detail = f"{REQUESTS} requests are being answered; try again"
             raise ProblemError(503, "overloaded", detail, headers={"Retry-After": "1"})
         turn = scope[TURN] = Turn(self._count)
+        within_s = self.settings.request_timeout_s
         task = asyncio.ensure_future(self.app(scope, receive, answer.send))
         self._running += 1
         task.add_done_callback(self._ended)
         try:
-            while not task.done() and answer.status is None and (left_s := turn.left_s(self.limits.request_timeout_s)):
+            while not task.done() and answer.status is None and (left_s := turn.left_s(within_s)):
                 await asyncio.wait({task}, timeout=left_s)
         except asyncio.CancelledError:
             task.cancel()
             raise
         if not task.done() and answer.status is None:
-            detail = f"no answer within {self.limits.request_timeout_s:g} s; what was asked for may still be done"
+            detail = f"no answer within {within_s:g} s; what was asked for may still be done"
             raise ProblemError(503, "overloaded", detail, headers={"Retry-After": "5"})
         await task
 
@@ -196,7 +199,7 @@ def _refuse_large_head(scope: Scope) -> None:
         raise ProblemError(431, "headers-too-large", detail, headers=_CLOSING)
 
 
-async def with_body(scope: Scope, receive: Receive, timeout_s: float, most_bytes: int = MAX_BODY_BYTES) -> Receive:
+async def with_body(scope: Scope, receive: Receive, timeout_s: float, most_bytes: int) -> Receive:
     """Wait for the whole body and return ``receive`` that hands it over."""
     headers = Headers(scope=scope)
     announced = headers.get("content-length", "0")

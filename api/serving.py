@@ -10,11 +10,10 @@ from threading import Event
 import uvicorn
 from fastapi import FastAPI
 
-from api.access.guard import plan_of
 from api.answers import RepresentationCache
 from api.app import build_app
 from api.factory import once_the_database_answers, open_store, process_name, raw_store
-from api.http_server import check_address, http_server, keep_what_is_loaded, limits_of
+from api.http_server import check_address, http_server, keep_what_is_loaded
 from api.pipeline import (
     MEGABYTE,
     RECEIPT_PATIENCE_S,
@@ -27,7 +26,6 @@ from api.pipeline import (
 from api.services import PATIENCE_S, JobRunner, Services, WriterSlots
 from api.settings import Settings
 from api.uploads import UploadLimits, Uploads
-from api.webhooks.sending import sender_of
 from fleet_db.migrate import check_head
 from ingest.receipts import ChunkStorage, to_nobody
 
@@ -64,8 +62,9 @@ def open_services(settings: Settings) -> Services:
 
 def create_app(settings: Settings) -> FastAPI:
     """Return the REST application of this deployment; refuses where :func:`open_services` does."""
-    access, sender = plan_of(settings), sender_of(settings)
-    return build_app(open_services(settings), limits_of(settings), access, sender)
+    app = build_app(settings)
+    app.state.services = open_services(settings)
+    return app
 
 
 def create_server(settings: Settings) -> uvicorn.Server:
@@ -75,12 +74,11 @@ def create_server(settings: Settings) -> uvicorn.Server:
 
 def serve(settings: Settings, stopping: Event) -> None:
     """Serve the REST application until a signal; it listens while the server of its database is away."""
-    access, sender = plan_of(settings), sender_of(settings)
+    app = build_app(settings)
     check_address(settings)
     with ThreadPoolExecutor(1, "start") as beside:
         opening = beside.submit(once_the_database_answers, partial(open_services, settings), settings, stopping)
         wait([opening], timeout=AT_ONCE_S if settings.on_server else None)
-        app = build_app(None, limits_of(settings), access, sender)
         server = http_server(app, settings)
         opening.add_done_callback(partial(_join, app, server))
         try:

@@ -88,6 +88,8 @@ class StreamPlaces:
 
 
 Door = Literal["key", "open", "off"]
+"""How a path is passed: ``key`` needs a key, ``open`` needs none, ``off`` is shut."""
+
 HEALTH = frozenset({"/healthz", "/readyz"})
 PAGE = frozenset({"/", "/favicon.ico"})  # the page itself holds nothing of a fleet: it asks for a key and reads with it
 PAGE_FILES = "/assets/"
@@ -96,15 +98,7 @@ DOCUMENT_FILES = "/docs/"
 METRICS = "/metrics"
 
 
-@dataclass(frozen=True, slots=True)
-class Opened:
-    """What a deployment sets of its doors: ``key`` needs a key, ``open`` needs none, ``off`` is shut."""
-
-    metrics: Door = "key"
-    docs: Door = "key"
-
-
-def door_of(opened: Opened, scope: types.Scope) -> Door:
+def door_of(metrics: Door, docs: Door, scope: types.Scope) -> Door:
     """Return how the path of a request is passed; with a key where nothing else is said."""
     path: str = scope["path"]
     if path in HEALTH or path in PAGE or path.startswith(PAGE_FILES):
@@ -112,8 +106,8 @@ def door_of(opened: Opened, scope: types.Scope) -> Door:
     if scope["method"] not in READING:
         return "key"
     if path == METRICS:
-        return opened.metrics
-    return opened.docs if path in DOCUMENTS or path.startswith(DOCUMENT_FILES) else "key"
+        return metrics
+    return docs if path in DOCUMENTS or path.startswith(DOCUMENT_FILES) else "key"
 
 
 LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
@@ -169,7 +163,8 @@ class Gate:
     """Decides who asks, and refuses who may not; where ``keys`` is None, access is open."""
 
     hosts: Hosts
-    doors: Opened
+    metrics: Door
+    docs: Door
     keys: KeyRing | None
     tokens: Tokens | None
     note_use: Callable[[str, int], None]
@@ -180,7 +175,7 @@ class Gate:
     async def admit(self, scope: types.Scope) -> None:
         """Let a request in and name its caller."""
         self.hosts.check(scope)
-        door = door_of(self.doors, scope)
+        door = door_of(self.metrics, self.docs, scope)
         if door == "off":
             raise ProblemError(404, "not-found", "Not Found")
         if self.keys is None or door == "open":

@@ -18,7 +18,7 @@ from starlette.datastructures import MutableHeaders
 from starlette.middleware.cors import CORSMiddleware
 from starlette.types import Scope
 
-from api.access.gate import READING, Gate, Hosts, Opened, Rate, StreamPlaces, address_of, known_caller
+from api.access.gate import READING, Gate, Hosts, Rate, StreamPlaces, address_of, known_caller
 from api.access.key_ring import KeyRing, Provider, Tokens
 from api.http_server import is_upload
 from api.settings import PREFIX, Settings
@@ -201,42 +201,6 @@ IN_WORDS = "open to everyone who reaches this address"
 MINUTE_S = 60.0
 
 
-@dataclass(frozen=True, slots=True)
-class AccessPlan:
-    """What a deployment has decided; the default needs keys."""
-
-    with_keys: bool = True
-    hosts: Hosts = field(default_factory=Hosts)
-    doors: Opened = field(default_factory=Opened)
-    provider: Provider | None = None
-    requests_per_s: float = 50.0
-    requests_burst: int = 500
-    failed_keys_per_minute: float = 10.0
-    streams_per_key: int = 10
-    https: bool = False
-
-
-def plan_of(settings: Settings) -> AccessPlan:
-    """Return what a deployment has decided; refuses what is open beyond loopback, and half an issuer of tokens."""
-    if settings.access == "open" and not is_loopback(settings.host):
-        reason = f"is open, and {settings.host} is reached from beyond this machine: use keys, or say '{IN_WORDS}'"
-        raise ParameterError(reason, field=f"{PREFIX}ACCESS")
-    return AccessPlan(
-        with_keys=settings.access == "keys",
-        hosts=Hosts(
-            frozenset(name.lower() for name in listed(settings.hosts)),
-            frozenset(origin.rstrip("/").lower() for origin in listed(settings.origins)),
-        ),
-        doors=Opened(settings.metrics, settings.docs),
-        provider=_provider(settings),
-        requests_per_s=settings.requests_per_s,
-        requests_burst=settings.requests_burst,
-        failed_keys_per_minute=settings.failed_keys_per_minute,
-        streams_per_key=settings.streams_per_key,
-        https=settings.https,
-    )
-
-
 def is_loopback(host: str) -> bool:
     """Return whether an address to listen on is reached from this machine alone."""
     try:
@@ -290,25 +254,31 @@ class Access:
             headers.setdefault(name, value)
 
 
-def guard_of(plan: AccessPlan, storage: Callable[[], SqlStorage]) -> Access:
-    """Return what guards one app."""
-    book = AccessBook(storage)
+def guard_of(settings: Settings, storage: Callable[[], SqlStorage]) -> Access:
+    """Return what guards one app; refuses what is open beyond loopback, and half an issuer of tokens."""
+    if settings.access == "open" and not is_loopback(settings.host):
+        reason = f"is open, and {settings.host} is reached from beyond this machine: use keys, or say '{IN_WORDS}'"
+        raise ParameterError(reason, field=f"{PREFIX}ACCESS")
+    book, provider, failures = AccessBook(storage), _provider(settings), settings.failed_keys_per_minute
+    names = frozenset(name.lower() for name in listed(settings.hosts))
+    origins = frozenset(origin.rstrip("/").lower() for origin in listed(settings.origins))
     gate = Gate(
-        hosts=plan.hosts,
-        doors=plan.doors,
-        keys=KeyRing(storage) if plan.with_keys else None,
-        tokens=None if plan.provider is None else Tokens(plan.provider),
+        hosts=Hosts(names, origins),
+        metrics=settings.metrics,
+        docs=settings.docs,
+        keys=KeyRing(storage) if settings.access == "keys" else None,
+        tokens=None if provider is None else Tokens(provider),
         note_use=book.used,
-        requests=Rate(plan.requests_per_s, plan.requests_burst),
-        failures=Rate(plan.failed_keys_per_minute / MINUTE_S, max(1.0, plan.failed_keys_per_minute)),
+        requests=Rate(settings.requests_per_s, settings.requests_burst),
+        failures=Rate(failures / MINUTE_S, max(1.0, failures)),
     )
     return Access(
         gate=gate,
-        recorder=Recorder(book, Rate(_OF_ADDRESS / 60.0, _OF_ADDRESS)),
+        recorder=Recorder(book, Rate(_OF_ADDRESS / MINUTE_S, _OF_ADDRESS)),
         book=book,
-        streams=StreamPlaces(plan.streams_per_key),
-        origins=plan.hosts.origins,
-        https=plan.https,
+        streams=StreamPlaces(settings.streams_per_key),
+        origins=origins,
+        https=settings.https,
     )
 
 

@@ -34,10 +34,12 @@ from estimation.jobs.scheduler import serve_jobs
 from estimation.values.runs import JobOutcome, JobTrigger
 from estimation.values.units import HOUR_NS
 from fleet_db.migrate import upgrade
-from fleet_db.storage import SqlStorage
+from fleet_db.records import Decision
 from ingest.catalogue import default_catalogue
+from ingest.input_file import InputFile
 from ingest.receiver import Receiver
-from ingest.registry_entry.contents import RegistryContents
+from ingest.registry_entry.contents import Entry
+from ingest.registry_entry.enter import enter
 from ingest.registry_file import read_registry
 from ingest.simulator.fleet import FleetReport, Recording
 from ingest.simulator.scenario import Scenario
@@ -78,9 +80,11 @@ def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) ->
     clock = ReplayClock(min(fleet.scenario.sessions.start_ns for fleet in fleets) - DAY_NS)
     shown = bar(console, "receiving and estimating, campaign by campaign", "{task.fields[what]}")
     with closing(open_store(settings)) as storage, shown as progress:
-        contents = [read_registry(fleet.report.registry) for fleet in fleets]
-        for registry in contents:
-            _register(storage, registry, clock.now_ns())
+        contents = {fleet.report.registry: read_registry(fleet.report.registry) for fleet in fleets}
+        for path, registry in contents.items():
+            with storage.write() as unit:  # visits to the lathe are known when they have happened
+                entry = Entry(Decision(recorded_ns=clock.now_ns()))
+                enter(replace(registry, reprofilings=()), unit, InputFile(path, {}), entry)
         context = replace(job_context(settings, storage), clock=clock)
         length_s = settings.window_length_s
         receiver = Receiver(storage, raw_store(settings), default_catalogue(), clock, window_length_s=length_s)
@@ -90,7 +94,7 @@ def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) ->
         tally = _Tally()
         for end_ns, received in campaigns:
             clock.now = max(clock.now, end_ns)
-            for registry in contents:
+            for registry in contents.values():
                 with storage.write() as unit:
                     for reprofiling in registry.reprofilings:
                         if reprofiling.at_ns <= clock.now:
@@ -142,26 +146,6 @@ class _Tally:
 
 
 SHOWN = ("frames", "samples_lost", "invalid_values", "emergencies")
-
-
-def _register(storage: SqlStorage, contents: RegistryContents, known_since_ns: int) -> None:
-    with storage.write() as unit:
-        for fleet in contents.fleets:
-            unit.registry.add_fleet(fleet)
-        for vehicle_class in contents.classes:
-            unit.registry.add_vehicle_class(vehicle_class, known_since_ns)
-        for vehicle in contents.vehicles:
-            unit.registry.add_vehicle(vehicle)
-        for wheelset in contents.wheelsets:
-            unit.registry.add_wheelset(wheelset)
-        for mounting in contents.mountings:
-            unit.registry.add_mounting(mounting)
-        for section in contents.sections:
-            unit.tracks.add_section(section)
-        for alignment in contents.alignments:
-            unit.tracks.add_alignment(alignment)
-        for layout in contents.layouts:
-            unit.tracks.add_layout(layout)
 
 
 def _by_campaign(fleet: Simulated) -> list[tuple[int, list[Recording]]]:

@@ -12,7 +12,7 @@ import pytest
 from guarded_service import Guarded, guarded_service, settings_in
 
 from api.access import key_ring
-from api.access.guard import plan_of
+from api.access.guard import guard_of
 from api.feed import watch as feed_watch
 from estimation.errors import ParameterError
 from fleet_db.stores.access import ApiKeyStore
@@ -254,12 +254,12 @@ def test_other_settings_open_and_shut_doors_and_let_pages_in(tmp_path: Path) -> 
 def test_open_access_beyond_this_machine_must_be_said_in_words(tmp_path: Path) -> None:
     for host in ("0.0.0.0", "::", "192.0.2.1", "depot.example"):  # noqa: S104 - what is refused
         with pytest.raises(ParameterError, match="reached from beyond this machine") as refused:
-            plan_of(settings_in(tmp_path, access="open", host=host))
+            guard_of(settings_in(tmp_path, access="open", host=host), pytest.fail)
         assert refused.value.field == "TREADWATCH_ACCESS"
-        plan_of(settings_in(tmp_path, access="open to everyone who reaches this address", host=host))
-        plan_of(settings_in(tmp_path, host=host))
+        guard_of(settings_in(tmp_path, access="open to everyone who reaches this address", host=host), pytest.fail)
+        guard_of(settings_in(tmp_path, host=host), pytest.fail)
     for host in ("127.0.0.1", "localhost", "::1"):
-        assert not plan_of(settings_in(tmp_path, access="open", host=host)).with_keys
+        assert guard_of(settings_in(tmp_path, access="open", host=host), pytest.fail).gate.keys is None
 
 
 def test_the_audit_log_is_only_added_to(guarded: Guarded) -> None:

@@ -24,7 +24,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from guarded_service import Guarded, guarded_service, settings_in
 
 from api.access import key_ring
-from api.access.guard import plan_of
+from api.access.guard import guard_of
 from estimation.errors import ParameterError
 
 AUDIENCE = "treadwatch"
@@ -192,7 +192,7 @@ def test_keys_may_be_in_a_file_and_the_settings_are_complete_or_refused(issuer: 
         assert ask(guarded, issuer.token()).status_code == 200
     for name in given:
         with pytest.raises(ParameterError) as refused:
-            plan_of(settings_in(tmp_path, **{**given, name: None}))
+            guard_of(settings_in(tmp_path, **{**given, name: None}), pytest.fail)
         assert refused.value.field == f"TREADWATCH_{name.upper()}"
     with pytest.raises(ValueError, match="must be https"):
         settings_in(tmp_path, **{**given, "oidc_keys": "http://login.example/keys"})

@@ -208,7 +208,7 @@ def test_the_usual_limits(tmp_path: Path) -> None:
     settings = Settings.model_validate({"data_dir": tmp_path})
     assert (settings.header_timeout_s, settings.body_timeout_s, settings.request_timeout_s) == (10.0, 30.0, 60.0)
     assert (settings.max_connections, http_server.SEND_TIMEOUT_S, http_server.MAX_HEAD_BYTES) == (1000, 30.0, 16384)
-    assert http_server.limits_of(settings) == http_server.HttpLimits()
+    assert (settings.max_body_kb, settings.max_streams) == (1024, 500)
 
 
 def test_the_server_is_built_with_the_limits_of_the_settings(tmp_path: Path) -> None:
