@@ -41,6 +41,8 @@ from api.schemas.common import Body, Page
 from api.services import Services, ServicesDep
 from api.times import Moment, to_rfc3339
 from estimation.errors import InputError
+from estimation.values.reasons import ReasonCode
+from estimation.values.registry import MOST_KM
 from fleet_db.records import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.input_file import MEBIBYTE, Location, dotted
@@ -52,6 +54,8 @@ _INT64_MAX = 2**63 - 1
 
 Code = Annotated[str, Path(pattern=CODE, examples=["demo"])]
 Serial = Annotated[str, Path(pattern=CODE, description="Serial of the wheelset.", examples=["WS-0001"])]
+Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out, the latest.")]
+OfCode = Annotated[ReasonCode | None, Query(description="Only with this reason code.")]
 Number = Annotated[int, Path(ge=1, le=_INT64_MAX, examples=[1])]
 FleetFilter = Annotated[str | None, Query(pattern=CODE, description="Only of this fleet.")]
 VehicleFilter = Annotated[str | None, Query(pattern=CODE, description="Only what runs under this vehicle now.")]
@@ -294,7 +298,6 @@ PutDep = Annotated[AskedChange, Depends(_put)]
 
 
 TEXT = r"^[^\x00-\x08\x0b-\x1f\x7f]*$"
-MOST_KM = 1e8
 MOST_TEXT = MEBIBYTE  # of one file; a request has at most as much
 UNNAMED = "unnamed client"  # who changes something where access is open and nobody says who it is
 Confirmable = Literal["odometer_backwards", "odometer_jump", "unknown_profile", "unusual_gauge", "unusual_radius"]

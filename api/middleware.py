@@ -20,6 +20,7 @@ from api.http_server import MAX_HEAD_BYTES, REQUESTS, is_upload
 from api.metrics import RequestMeasures
 from api.problems import ProblemError, from_error, problem_response
 from api.settings import Settings
+from api.uploads import CLOSING
 
 ALWAYS_ANSWERED = "/healthz"
 WITHOUT_DATABASE = (ALWAYS_ANSWERED, "/metrics")  # what is answered before the database has answered for the first time
@@ -27,7 +28,6 @@ OTHER = "other"
 TURN = "treadwatch.turn"
 _METHODS = frozenset(HTTPMethod)
 _IDENTITY = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
-_CLOSING = {"Connection": "close"}
 _log = structlog.stdlib.get_logger("treadwatch.access")
 
 
@@ -196,7 +196,7 @@ def _refuse_large_head(scope: Scope) -> None:
     size += sum(len(name) + len(value) for name, value in scope["headers"])
     if size > MAX_HEAD_BYTES:
         detail = f"request line and headers: at most {MAX_HEAD_BYTES} bytes"
-        raise ProblemError(431, "headers-too-large", detail, headers=_CLOSING)
+        raise ProblemError(431, "headers-too-large", detail, headers=CLOSING)
 
 
 async def with_body(scope: Scope, receive: Receive, timeout_s: float, most_bytes: int) -> Receive:
@@ -218,7 +218,7 @@ async def with_body(scope: Scope, receive: Receive, timeout_s: float, most_bytes
                     raise _too_large(most_bytes)
     except TimeoutError:
         detail = f"the body did not arrive within {timeout_s:g} s"
-        raise ProblemError(408, "request-timeout", detail, headers=_CLOSING) from None
+        raise ProblemError(408, "request-timeout", detail, headers=CLOSING) from None
     if message["type"] == "http.disconnect":
         raise ProblemError(408, "request-timeout", "the client left before the end of the body")
     handed_over = False
@@ -234,7 +234,7 @@ async def with_body(scope: Scope, receive: Receive, timeout_s: float, most_bytes
 
 
 def _too_large(most_bytes: int) -> ProblemError:
-    return ProblemError(413, "content-too-large", f"limit max_body_kb: at most {most_bytes} bytes", headers=_CLOSING)
+    return ProblemError(413, "content-too-large", f"limit max_body_kb: at most {most_bytes} bytes", headers=CLOSING)
 
 
 class _EndOfHeadersError(OSError):

@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from typing import Annotated
 
 import numpy as np
 from pydantic import BeforeValidator, WithJsonSchema
 
 from estimation.values.arrays import IntArray
+from estimation.values.reasons import EPOCH, utc_text
 from estimation.values.units import SECOND_NS
 
 _SHAPE = re.compile(r"(\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?([Zz]|[+-]\d\d:\d\d)", re.ASCII)
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _INT64 = 2**63
 
 
-def to_rfc3339(t_ns: int) -> str:
-    """Return nanoseconds since the epoch as RFC 3339 in UTC, with as many decimals as the time has."""
-    seconds, rest = divmod(t_ns, SECOND_NS)
-    text = (_EPOCH + timedelta(seconds=seconds)).strftime("%Y-%m-%dT%H:%M:%S")
-    decimals = f".{rest:09d}".rstrip("0") if rest else ""
-    return f"{text}{decimals}Z"
+to_rfc3339 = utc_text
+"""Nanoseconds since the epoch as RFC 3339 in UTC, with as many decimals as the time has."""
 
 
 def times_to_rfc3339(times_ns: IntArray) -> list[str]:
@@ -39,7 +35,7 @@ def from_rfc3339(text: object) -> int:
     whole, decimals, offset = match.groups()
     try:
         moment = datetime.fromisoformat(whole.upper() + offset.upper())
-        since = moment - _EPOCH
+        since = moment - EPOCH
     except (ValueError, OverflowError):
         raise ValueError("must be a time that exists") from None
     t_ns = (since.days * 86400 + since.seconds) * SECOND_NS + int((decimals or "").ljust(9, "0"))

@@ -18,7 +18,7 @@ import types
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
@@ -38,7 +38,7 @@ from pydantic_core import core_schema
 
 from estimation.errors import ParameterError
 from estimation.values.fields import FileDefault, FileForm, FileUnit, JsonValue, Key
-from estimation.values.reasons import utc_text
+from estimation.values.reasons import EPOCH, utc_text
 from ingest.input_file import (
     Code,
     FreeText,
@@ -241,7 +241,7 @@ def nanoseconds(value: object) -> int:
         moment = None
     if moment is None or moment.tzinfo is None:
         raise field_error(f"{value!r} is not a time with its offset from UTC, as in 2024-01-08T05:30:00Z")
-    since = moment.replace(microsecond=0) - datetime(1970, 1, 1, tzinfo=UTC)
+    since = moment.replace(microsecond=0) - EPOCH
     if not FIRST_YEAR <= moment.year <= LAST_YEAR:
         raise field_error(f"{value!r} is outside the years {FIRST_YEAR} to {LAST_YEAR}")
     decimals = _DECIMALS.search(str(value))

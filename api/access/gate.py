@@ -22,6 +22,7 @@ from starlette.datastructures import Headers
 from api.access.key_ring import ANYONE, Caller, KeyRing, Tokens
 from api.access.keys import prefix_of
 from api.problems import ProblemError
+from api.settings import LOOPBACK
 from estimation.errors import TreadwatchError
 
 BUCKETS = 10_000  # keys or addresses that are remembered; beyond, the one not seen for longest is forgotten
@@ -110,7 +111,6 @@ def door_of(metrics: Door, docs: Door, scope: types.Scope) -> Door:
     return docs if path in DOCUMENTS or path.startswith(DOCUMENT_FILES) else "key"
 
 
-LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 READING = frozenset({HTTPMethod.GET, HTTPMethod.HEAD, HTTPMethod.OPTIONS})
 
 
@@ -138,7 +138,7 @@ class Hosts:
     def _ours(self, host: str, scope: types.Scope) -> bool:
         name = host_name(host)
         here = scope.get("server")
-        return name in LOOPBACK_NAMES or name in self.names or (here is not None and name == str(here[0]).lower())
+        return name in LOOPBACK or name in self.names or (here is not None and name == str(here[0]).lower())
 
 
 def host_name(host: str) -> str | None:

@@ -17,7 +17,7 @@ from api.contract import TABLE, Accepted
 from api.problems import described
 from api.routes.design_contact import ProfileContact, comparison_reader, profile_contact
 from api.schemas.common import Derived, Links, Representation, Uncertain, finite, finite_list, segment, uncertain, why
-from api.schemas.geometry import MM, Bins, bin_table
+from api.schemas.geometry import Bins, bin_table
 from api.services import require_known
 from api.times import Moment, Timestamp, to_rfc3339
 from estimation.accuracy.fleet_accuracy import (
@@ -39,6 +39,7 @@ from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import IN_MM
 from fleet_db.rows import present
 from fleet_db.stores.wheelset_events import newest_measurements
 
@@ -143,7 +144,7 @@ def _profile_comparison(comparison: Comparison) -> ProfileComparison:
         wheelset=measured.wheelset,
         measured_at=to_rfc3339(measured.at_ns),
         mileage_km=measured.mileage_km,
-        std_mm=measured.std * MM,
+        std_mm=measured.std * IN_MM,
         wheels=BothWheels(left=_measures(measured.left), right=_measures(measured.right)),
         estimated_wheels=NotEstimated(
             status=Status.UNESTIMATED, reason=NOT_OBSERVABLE.text, reason_code=NOT_OBSERVABLE.code
@@ -154,7 +155,7 @@ def _profile_comparison(comparison: Comparison) -> ProfileComparison:
         independent=comparison.independent,
         measured_at_bins=_at_bins(comparison),
         conicity_by_amplitude=[
-            ConicityCompared.made(pair, amplitude_mm=round(pair.amplitude * MM, 3)) for pair in comparison.conicity
+            ConicityCompared.made(pair, amplitude_mm=round(pair.amplitude * IN_MM, 3)) for pair in comparison.conicity
         ],
         links={
             "self": _comparison_path(measured.wheelset, measured.at_ns),
@@ -202,10 +203,10 @@ def _at_bins(comparison: Comparison) -> MeasuredAtBins | None:
     value = np.interp(places, x, contact.radius_difference, left=np.nan, right=np.nan) - origin.difference
     std = np.interp(places, x, contact.radius_difference_std, left=np.nan, right=np.nan)
     return MeasuredAtBins(
-        origin_displacement_mm=origin.displacement * MM,
-        origin_radius_difference_mm=origin.difference * MM,
-        rolling_radius_difference_mm=finite_list(value, MM),
-        rolling_radius_difference_std_mm=finite_list(std, MM),
+        origin_displacement_mm=origin.displacement * IN_MM,
+        origin_radius_difference_mm=origin.difference * IN_MM,
+        rolling_radius_difference_mm=finite_list(value, IN_MM),
+        rolling_radius_difference_std_mm=finite_list(std, IN_MM),
     )
 
 
@@ -296,12 +297,13 @@ class Accuracy(Representation):
 
 def _accuracy(accuracy: FleetAccuracy, placed: Placed, on_file: int, links: Mapping[str, str]) -> Accuracy:
     return Accuracy(
-        amplitude_mm=LIMIT_AMPLITUDE * MM,
+        amplitude_mm=LIMIT_AMPLITUDE * IN_MM,
         on_file=on_file,
         considered=len(placed.rows),
         coverage=CoverageOfGroup.made(accuracy.at_limit),
         coverage_by_amplitude=[
-            CoverageAtAmplitude.made(pair, amplitude_mm=round(a * MM, 3)) for a, pair in accuracy.by_amplitude.items()
+            CoverageAtAmplitude.made(pair, amplitude_mm=round(a * IN_MM, 3))
+            for a, pair in accuracy.by_amplitude.items()
         ],
         coverage_by_vehicle_class=[CoverageOfKey.made(pair, key=k) for k, pair in accuracy.by_vehicle_class.items()],
         coverage_by_track_section=[CoverageOfKey.made(pair, key=k) for k, pair in accuracy.by_section.items()],

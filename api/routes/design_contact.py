@@ -13,7 +13,7 @@ from api.asking import AskedDep, Serial
 from api.contract import TABLE, Accepted
 from api.problems import described
 from api.schemas.common import Derived, Links, Representation, finite, finite_list, segment, uncertain
-from api.schemas.geometry import MM, ConicityAtAmplitude
+from api.schemas.geometry import ConicityAtAmplitude
 from api.services import Services
 from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair
 from estimation.contact.profiles import wheel_profile
@@ -23,6 +23,7 @@ from estimation.jobs.steps.measured_wheelsets import ComparisonReader
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
+from estimation.values.units import IN_MM
 from fleet_db.storage import SqlUnitOfWork
 
 SHOWN = 8e-3  # m of lateral displacement
@@ -90,9 +91,9 @@ def profile_contact(contact: WheelContact | Reason) -> ProfileContact:
         reason_code=None,
         rails=[Rails.made(share) for share in contact.rails],
         curve=_curve(contact),
-        zero_crossing_mm=finite(contact.zero_crossing, MM),
+        zero_crossing_mm=finite(contact.zero_crossing, IN_MM),
         conicity_by_amplitude=[
-            ConicityAtAmplitude(amplitude_mm=round(float(a) * MM, 3), equivalent_conicity_1=uncertain(conicity))
+            ConicityAtAmplitude(amplitude_mm=round(float(a) * IN_MM, 3), equivalent_conicity_1=uncertain(conicity))
             for a, conicity in zip(contact.amplitude, contact.conicity, strict=True)
         ],
     )
@@ -110,7 +111,7 @@ def _curve(contact: WheelContact) -> ContactCurve:
     shown = np.abs(contact.displacement) <= SHOWN + 1e-9
 
     def column(values: np.ndarray) -> list[float | None]:
-        return finite_list(np.round(values[shown] * MM, DECIMALS) + 0.0)
+        return finite_list(np.round(values[shown] * IN_MM, DECIMALS) + 0.0)
 
     return ContactCurve(
         lateral_displacement_mm=column(contact.displacement),
@@ -134,7 +135,7 @@ def get_design_contact(asked: AskedDep, accepted: Accepted, serial: Serial) -> R
     body = DesignContact(
         wheelset=wheelset.serial,
         wheel_profile=wheelset.wheel_profile,
-        nominal_radius_mm=wheelset.nominal_radius_m * MM,
+        nominal_radius_mm=wheelset.nominal_radius_m * IN_MM,
         contact=profile_contact(design),
         links={"self": f"{path}/contact", "wheelset": path, "geometry": f"{path}/geometry"},
     )

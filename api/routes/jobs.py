@@ -12,12 +12,11 @@ from pydantic import Field
 from api import cursors
 from api.access.gate import CallerDep, Scope, requires
 from api.access.key_ring import Caller
-from api.asking import CODE, AskedDep, AskedListDep, Code, NewDep, Number
+from api.asking import CODE, AskedDep, AskedListDep, Code, NewDep, Number, OfCode
 from api.problems import described
 from api.schemas.common import Derived, Links, Page, Representation, segment, without_folders
 from api.services import Services, require_known, writer_slot
 from api.times import Timestamp, to_rfc3339
-from estimation.values.reasons import ReasonCode
 from estimation.values.runs import JobRun as JobRunValue
 from estimation.values.runs import Quarantined, QuarantineState, SubjectKind
 from fleet_db.stores.stage_marks import Place
@@ -148,7 +147,6 @@ def get_job_run(asked: AskedDep, caller: CallerDep, run_id: Number) -> Response:
 quarantine_router = APIRouter(prefix="/v1/quarantine", tags=["quarantine"])
 Kind = Annotated[SubjectKind | None, Query(description="Only of this kind.")]
 InState = Annotated[QuarantineState | None, Query(description="Only in this state; `held` is what waits.")]
-OfCode = Annotated[ReasonCode | None, Query(description="Only with this reason code.")]
 OfVehicle = Annotated[
     str | None, Query(pattern=CODE, description="Only recordings and windows of this vehicle, and the vehicle itself.")
 ]

@@ -36,9 +36,9 @@ from estimation.values.runs import Result
 from estimation.values.signatures import ANSWERS, METHOD, Disagreement, SignatureFinding, StateProbability
 from estimation.values.signatures import SignatureAnswer as AnswerValue
 from estimation.values.signatures import UsedEntry as UsedValue
+from estimation.values.units import IN_MM
 from fleet_db.rows import present
 
-MM = 1000.0
 NO_GEOMETRY = Estimate.unknown(Reason(ReasonCode.NO_GEOMETRY, "there is no geometry at this amplitude yet"))
 
 
@@ -140,7 +140,7 @@ def wheelset_rails(result: Result[WheelsFinding], geometry: GeometryRecord | Non
     for amplitude, apart in zip(record.amplitude, part.conicity, strict=True):
         beside = ((ConicityMethod.WHEEL_AND_RAIL_APART, apart), (ConicityMethod.GEOMETRY, _at(geometry, amplitude)))
         conicities = [ConicityBySource(method=how, equivalent_conicity_1=uncertain(value)) for how, value in beside]
-        rows.append(ConicitiesAtAmplitude(amplitude_mm=amplitude * MM, conicities=conicities))
+        rows.append(ConicitiesAtAmplitude(amplitude_mm=amplitude * IN_MM, conicities=conicities))
     is_known = any(conicity.status is Status.ESTIMATED for conicity in part.conicity)
     return WheelsetRails.made(
         record,
@@ -167,7 +167,7 @@ def _period(part: RailPart, amplitude: Sequence[float]) -> RailsPeriod:
         part,
         by_amplitude=[
             RailsAtAmplitude(
-                amplitude_mm=motion * MM,
+                amplitude_mm=motion * IN_MM,
                 rail_part_1=uncertain(rail),
                 reference_wheel_conicity_1=uncertain(wheel),
                 excess_1=uncertain(excess),

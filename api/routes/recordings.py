@@ -22,6 +22,7 @@ from api.asking import (
     MeasuredFrom,
     MeasuredTo,
     NewDep,
+    OfCode,
     require_order,
 )
 from api.problems import described
@@ -158,7 +159,6 @@ DIGEST = r"^[0-9a-f]{64}$"
 Digest = Annotated[str, Path(pattern=DIGEST, description="SHA-256 of its bytes.", examples=["ab" * 32])]
 OfVehicle = Annotated[str | None, Query(pattern=CODE, description="Only of this vehicle, registered or not.")]
 InState = Annotated[ChunkState | None, Query(description="Only in this state; `deleted` lists those alone.")]
-OfCode = Annotated[ReasonCode | None, Query(description="Only with this reason code.")]
 ReceivedFrom = Annotated[Moment | None, Query(description="Received at or after this time.")]
 ReceivedTo = Annotated[Moment | None, Query(description="Received before this time.")]
 

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Any
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Response
 from pydantic import Field, JsonValue
 
-from api.asking import AskedDep, AskedListDep, Code
+from api.asking import AskedDep, AskedListDep, Code, Version
 from api.problems import described
 from api.schemas.common import Derived, Links, Page, Representation, finite, finite_list, segment
 from api.times import Timestamp, to_rfc3339
 from estimation.values.reasons import ReasonCode
 from estimation.values.track import AlignmentRecord, Iterated, TrackAlignment, TrackReport, TrackSectionRecord
+from estimation.values.units import IN_MM
 from fleet_db.rows import present
 from fleet_db.storage import SqlUnitOfWork
-
-MM = 1000.0
 
 
 class LinePoint(Representation):
@@ -154,10 +153,10 @@ def alignment(columns: TrackAlignment, record: AlignmentRecord, made_by: TrackRe
     return Alignment.made(
         record,
         position_m=[float(s) for s in columns.s],
-        alignment_mm=finite_list(columns.alignment, MM),
-        alignment_std_mm=finite_list(columns.alignment_std, MM),
-        gauge_deviation_mm=finite_list(columns.gauge_deviation, MM) if columns.gauge_known else unknown,
-        gauge_deviation_std_mm=finite_list(columns.gauge_deviation_std, MM) if columns.gauge_known else unknown,
+        alignment_mm=finite_list(columns.alignment, IN_MM),
+        alignment_std_mm=finite_list(columns.alignment_std, IN_MM),
+        gauge_deviation_mm=finite_list(columns.gauge_deviation, IN_MM) if columns.gauge_known else unknown,
+        gauge_deviation_std_mm=finite_list(columns.gauge_deviation_std, IN_MM) if columns.gauge_known else unknown,
         passes=[int(n) for n in columns.passes],
         report=None if made_by is None else report(made_by),
     )
@@ -170,8 +169,8 @@ def report(record: TrackReport) -> AlignmentReport:
     in_force = {} if record.version is None else {"alignment": _path(record.section, record.version)}
     return AlignmentReport.made(
         record,
-        residual_rms_mm=_scaled(report.get("residual_rms_m"), MM),
-        alignment_std_mm=_scaled(report.get("alignment_std_m"), MM),
+        residual_rms_mm=_scaled(report.get("residual_rms_m"), IN_MM),
+        alignment_std_mm=_scaled(report.get("alignment_std_m"), IN_MM),
         mean_passes_1=_scaled(report.get("mean_passes")),
         diversity_1=_scaled(report.get("diversity")),
         covered_1=_scaled(report.get("covered")),
@@ -210,7 +209,7 @@ def _journey(report: dict[str, Any]) -> Journey:
     return Journey(
         **{name: report[name] for name in same},
         measured_from=to_rfc3339(report["from_ns"]),
-        residual_rms_mm=_scaled(report["residual_rms_m"], MM),
+        residual_rms_mm=_scaled(report["residual_rms_m"], IN_MM),
         reason=report["reason"] or None,
         reason_code=report.get("reason_code"),
     )
@@ -229,7 +228,6 @@ def _path(section: str, version: int) -> str:
 
 
 router = APIRouter(prefix="/v1/track-sections", tags=["track sections"])
-Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out, the latest.")]
 
 
 def _seen(unit: SqlUnitOfWork, report: TrackReport | None) -> TrackReport | None:

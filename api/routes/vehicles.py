@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Annotated
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Response
 from pydantic import Field
 
-from api.asking import AskedDep, AskedListDep, Code, FleetFilter
+from api.asking import AskedDep, AskedListDep, Code, FleetFilter, Version
 from api.problems import described
 from api.schemas import common
 from api.schemas.common import Derived, Links, Page, Representation, finite, segment
@@ -249,9 +248,6 @@ def get_dampers(asked: AskedDep, code: Code) -> Response:
     path = f"/v1/vehicles/{segment(code)}"
     links = {"self": f"{path}/dampers", "vehicle": path}
     return asked.answer(Dampers(vehicle=code, dampers=dampers, links=links))
-
-
-Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out, the latest.")]
 
 
 @router.get("/vehicle-classes", response_model=Page[VehicleClassRepresentation], responses=described(400))

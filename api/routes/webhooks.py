@@ -16,7 +16,7 @@ from api.access.gate import CallerDep, Scope, requires
 from api.access.key_ring import Caller
 from api.access.keys import NOBODY_NAMED
 from api.answers import IfMatch, answer, require_match
-from api.asking import CODE, AskedDep, AskedListDep
+from api.asking import AskedDep, AskedListDep, Key
 from api.feed.watch import TRY_AGAIN
 from api.middleware import turn_of
 from api.problems import ProblemError, described, invalid
@@ -48,7 +48,6 @@ Url = Annotated[
     str, StringConstraints(pattern=r"^https?://", max_length=MOST_CHARACTERS), AfterValidator(_leads_somewhere)
 ]
 Text = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f\x7f]{0,500}$")]
-FleetCode = Annotated[str, StringConstraints(pattern=CODE)]
 WrittenSeverity = Annotated[Severity, Strict(strict=False)]  # JSON has texts, not members of an enumeration
 URL = "Where events are posted to: https://, or http:// in an allowed network."
 DESCRIPTION = "What it is for."
@@ -100,7 +99,7 @@ class NewWebhook(Body):
 
     url: Url = Field(description=URL, examples=[EXAMPLE_URL])
     description: Text = Field(default="", description=DESCRIPTION, examples=["work orders"])
-    fleets: list[FleetCode] = Field(default=[], max_length=MOST_VALUES, description=FLEETS, examples=[["alpha"]])
+    fleets: list[Key] = Field(default=[], max_length=MOST_VALUES, description=FLEETS, examples=[["alpha"]])
     kinds: list[KnownKind] = Field(default=[], max_length=MOST_VALUES, description=KINDS)
     severities: list[WrittenSeverity] = Field(default=[], max_length=MOST_VALUES, description=SEVERITIES)
 
@@ -110,7 +109,7 @@ class WebhookChange(Body):
 
     url: Url | None = Field(default=None, description=URL, examples=[EXAMPLE_URL])
     description: Text | None = Field(default=None, description=DESCRIPTION)
-    fleets: list[FleetCode] | None = Field(default=None, max_length=MOST_VALUES, description=FLEETS)
+    fleets: list[Key] | None = Field(default=None, max_length=MOST_VALUES, description=FLEETS)
     kinds: list[KnownKind] | None = Field(default=None, max_length=MOST_VALUES, description=KINDS)
     severities: list[WrittenSeverity] | None = Field(default=None, max_length=MOST_VALUES, description=SEVERITIES)
     state: Literal["active", "paused"] | None = Field(

@@ -25,11 +25,11 @@ from estimation.values.geometry import (
 )
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
+from estimation.values.units import IN_MM
 from estimation.values.windows import WindowsOfReason as ReasonOfWindows
 from estimation.values.windows import WindowState, WithoutEstimate
 from fleet_db.stores.window_counts import WindowCounts
 
-MM = 1000.0
 Counts = Counter[tuple[WindowState, ReasonCode | None]]
 
 
@@ -165,7 +165,7 @@ def _geometry(serial: str, baseline: int, estimate: WheelsetGeometry, without: W
         baseline=baseline,
         equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(estimate)),
         conicity_by_amplitude=[
-            ConicityAtAmplitude(amplitude_mm=float(amplitude) * MM, equivalent_conicity_1=uncertain(conicity))
+            ConicityAtAmplitude(amplitude_mm=float(amplitude) * IN_MM, equivalent_conicity_1=uncertain(conicity))
             for amplitude, conicity in zip(estimate.amplitude, estimate.conicity, strict=True)
         ],
         bins=bin_table(estimate),
@@ -182,13 +182,13 @@ def _left_out(record: GeometryRecord) -> dict[str, int] | None:
 
 def bin_table(estimate: WheelsetGeometry) -> Bins:
     """Return the bin table of an estimate."""
-    edges = [float(edge) * MM for edge in estimate.bin_edges]
+    edges = [float(edge) * IN_MM for edge in estimate.bin_edges]
     return Bins(
         lower_mm=edges[:-1],
         upper_mm=edges[1:],
         samples_1=finite_list(estimate.samples),
-        rolling_radius_sum_mm=_column(estimate.rolling_radius_sum, MM),
-        rolling_radius_difference_mm=_column(estimate.rolling_radius_difference, MM),
+        rolling_radius_sum_mm=_column(estimate.rolling_radius_sum, IN_MM),
+        rolling_radius_difference_mm=_column(estimate.rolling_radius_difference, IN_MM),
         contact_angle_sum_rad=_column(estimate.contact_angle_sum, 1.0),
         contact_angle_difference_rad=_column(estimate.contact_angle_difference, 1.0),
     )

@@ -16,7 +16,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from api import logs
 from api.factory import SystemClock, open_store, process_name, raw_store
 from api.measures import counter, gauge
-from api.pipeline import RECEIPT_PATIENCE_S, backlog_watch, publishing, receiver, topic_of, with_named_setting
+from api.pipeline import MEGABYTE, RECEIPT_PATIENCE_S, backlog_watch, publishing, receiver, topic_of, with_named_setting
 from api.settings import PREFIX, Settings, load_settings
 from api.terminal.health_server import Answer, HealthAddress, json_answer, served
 from api.terminal.ingest import vehicle_in_name
@@ -35,7 +35,6 @@ from ingest.topic.consuming import Consuming, ReferenceTaking
 
 LOOK_EVERY_S = 1.0
 FIRST_DELAY_S, LONGEST_DELAY_S = 1.0, 30.0
-MEGABYTE = 1_000_000
 _log = logging.getLogger(__name__)
 
 

@@ -7,7 +7,7 @@ import io
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,17 +40,11 @@ from ingest.profiles.orientation import LEAST_LEAN, lean
 from ingest.profiles.points import Origin
 
 AMPLITUDE_MM = LIMIT_AMPLITUDE * 1e3
-COLUMNS = {
-    "conicity": "equivalent_conicity_at_3_mm_1",
-    "std": "equivalent_conicity_at_3_mm_std_1",
-    "limit": "limit_1",
-    "speed_km_h": "limit_speed_km_h",
-}
 
 
 @dataclass(frozen=True, slots=True)
 class ContactSummary:
-    """Wheel, rail, gauge, and the equivalent conicity at 3 mm beside the limit of the shipped rules."""
+    """Wheel, rail, gauge, and the equivalent conicity at 3 mm beside the limit of the shipped rules, as columns."""
 
     wheel_left: str
     wheel_right: str
@@ -58,10 +52,10 @@ class ContactSummary:
     inclination: str  # of the rails, as it was written
     gauge_mm: float
     method: str
-    conicity: float | None  # None where the contact gives none
-    std: float | None
-    limit: float | None  # None where there is none
-    speed_km_h: float
+    equivalent_conicity_at_3_mm_1: float | None  # None where the contact gives none
+    equivalent_conicity_at_3_mm_std_1: float | None
+    limit_1: float | None  # None where there is none
+    limit_speed_km_h: float
 
     @property
     def title(self) -> str:
@@ -72,14 +66,10 @@ class ContactSummary:
     @property
     def verdict(self) -> str:
         """Return the conicity at 3 mm beside the limit."""
-        value = "unknown" if self.conicity is None else f"{self.conicity:.3f}"
-        if self.limit is None:
-            return f"at 3 mm: {value}; no limit at {self.speed_km_h:g} km/h"
-        return f"at 3 mm: {value}; limit {self.limit:.3f} at {self.speed_km_h:g} km/h"
-
-    def columns(self) -> dict[str, str | float | None]:
-        """Return it as columns that are the same in every row of a table."""
-        return {COLUMNS.get(item.name, item.name): getattr(self, item.name) for item in fields(self)}
+        value = "unknown" if self.equivalent_conicity_at_3_mm_1 is None else f"{self.equivalent_conicity_at_3_mm_1:.3f}"
+        if self.limit_1 is None:
+            return f"at 3 mm: {value}; no limit at {self.limit_speed_km_h:g} km/h"
+        return f"at 3 mm: {value}; limit {self.limit_1:.3f} at {self.limit_speed_km_h:g} km/h"
 
 
 INTERVAL = 1.96  # standard deviations
@@ -116,12 +106,14 @@ def save_contact_figure(
         low, high = conicity - INTERVAL * std, conicity + INTERVAL * std
         label = "95 % interval"
         axes[1, 1].fill_between(amplitude * 1e3, low, high, color=_BOTH, alpha=0.2, linewidth=0.0, label=label)
-    if summary.limit is not None:
-        label = f"limit {summary.limit:.3f} at {summary.speed_km_h:g} km/h"
-        axes[1, 1].axhline(summary.limit, color=_LIMIT, linestyle="--", linewidth=1.2, label=label)
-    if summary.conicity is not None:
-        label = f"{summary.conicity:.3f} at 3 mm"
-        axes[1, 1].plot([AMPLITUDE_MM], [summary.conicity], "o", color=_RIGHT, markersize=7, label=label)
+    if summary.limit_1 is not None:
+        label = f"limit {summary.limit_1:.3f} at {summary.limit_speed_km_h:g} km/h"
+        axes[1, 1].axhline(summary.limit_1, color=_LIMIT, linestyle="--", linewidth=1.2, label=label)
+    if summary.equivalent_conicity_at_3_mm_1 is not None:
+        label = f"{summary.equivalent_conicity_at_3_mm_1:.3f} at 3 mm"
+        axes[1, 1].plot(
+            [AMPLITUDE_MM], [summary.equivalent_conicity_at_3_mm_1], "o", color=_RIGHT, markersize=7, label=label
+        )
     axes[1, 1].legend(frameon=False)
     axes[1, 1].set_xlabel("amplitude, mm")
     axes[1, 1].set_ylabel("equivalent conicity tan γₑ")
@@ -323,10 +315,10 @@ def _computed(contact: Contact) -> _Computed:
         inclination=contact.inclination,
         gauge_mm=round(wheelset.gauge * 1e3, 6),
         method=method.value,
-        conicity=value,
-        std=spread,
-        limit=ConicityLimitRule().limit_at(ANY_CLASS, contact.speed_km_h),
-        speed_km_h=contact.speed_km_h,
+        equivalent_conicity_at_3_mm_1=value,
+        equivalent_conicity_at_3_mm_std_1=spread,
+        limit_1=ConicityLimitRule().limit_at(ANY_CLASS, contact.speed_km_h),
+        limit_speed_km_h=contact.speed_km_h,
     )
     return _Computed(table, curve, conicity, std, summary)
 
@@ -347,7 +339,7 @@ def _columns(table: ContactTable) -> dict[str, FloatArray]:
 def table_text(contact: Contact, *, as_json: bool) -> str:
     """Return the contact geometry of a wheelset as JSON, or as CSV with the conicity at 3 mm alone."""
     computed = _computed(contact)
-    summary = computed.summary.columns()
+    summary = asdict(computed.summary)
     columns = {name: _rounded(values) for name, values in _columns(computed.table).items()}
     if not as_json:
         text = io.StringIO()

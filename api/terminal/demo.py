@@ -32,7 +32,7 @@ from estimation.errors import StorageError
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.jobs.scheduler import serve_jobs
 from estimation.values.runs import JobOutcome, JobTrigger
-from estimation.values.units import HOUR_NS
+from estimation.values.units import DAY_NS, HOUR_NS
 from fleet_db.migrate import upgrade
 from fleet_db.records import Decision
 from ingest.catalogue import default_catalogue
@@ -44,8 +44,6 @@ from ingest.registry_file import read_registry
 from ingest.simulator.fleet import FleetReport, Recording
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import load_scenario
-
-DAY_NS = 24 * HOUR_NS
 
 
 @dataclass(slots=True)

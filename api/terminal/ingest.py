@@ -24,6 +24,7 @@ from api.terminal.progress import bar
 from api.terminal.registry import registry_lines
 from api.terminal.store import print_line, user_name
 from estimation.errors import InputError, ParameterError, TreadwatchError
+from estimation.values.reasons import EPOCH
 from fleet_db.records import Decision
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.assembled import EARLIEST_NS, LATEST_NS
@@ -197,9 +198,6 @@ def changes_line(changes: SpanChanges) -> str:
     """Return how many windows are new, changed, removed and healed."""
     counts = {"new": changes.new, "changed": changes.changed, "removed": changes.removed, "healed": changes.healed}
     return "windows " + ", ".join(f"{name} {count:,}" for name, count in counts.items())
-
-
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def reassemble_and_report(vehicle: str, begin: datetime | None, end: datetime | None) -> None:

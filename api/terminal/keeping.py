@@ -10,7 +10,7 @@ from pathlib import Path
 import typer
 
 from api.factory import SystemClock, open_store, raw_store, retention_of
-from api.settings import load_settings
+from api.settings import FOR_EVER, load_settings
 from api.terminal.progress import counted
 from fleet_db.keeping.backup import BackupPlan, back_up
 from fleet_db.keeping.checks import check_deep
@@ -76,7 +76,6 @@ def _list(what: str, lines: tuple[str, ...]) -> None:
         raise typer.Exit(1)
 
 
-FOR_EVER = "for ever"
 UNITS = ("B", "kB", "MB", "GB", "TB", "PB")
 THOUSAND = 1000.0
 

@@ -19,7 +19,7 @@ from api import logs
 from api.factory import SystemClock, open_store
 from api.logs import start_tracing
 from api.measures import counter, gauge, reference_measures
-from api.pipeline import publisher
+from api.pipeline import MEGABYTE, publisher
 from api.pipeline import receiver as receiver_of
 from api.settings import Settings, load_settings
 from api.terminal.health_server import Answer, HealthAddress, json_answer, served
@@ -35,8 +35,6 @@ from ingest.receipts import to_nobody
 from ingest.receiver import ChunkReceipt, Receiver
 
 REMEMBERED = 1000  # recordings that the summary at the end covers
-
-MEGABYTE = 1_000_000
 
 _log = logging.getLogger(__name__)
 

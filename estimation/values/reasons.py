@@ -317,11 +317,11 @@ def code_of(reason: Reason | None) -> ReasonCode | None:
     return None if reason is None else reason.code
 
 
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def utc_text(t_ns: int) -> str:
     """Return a time, ns since 1970, as people read it: in UTC, to the second where it is a whole one."""
     seconds, rest = divmod(t_ns, SECOND_NS)
     decimals = f".{rest:09d}".rstrip("0") if rest else ""
-    return f"{(_EPOCH + timedelta(seconds=seconds)).strftime('%Y-%m-%dT%H:%M:%S')}{decimals}Z"
+    return f"{(EPOCH + timedelta(seconds=seconds)).strftime('%Y-%m-%dT%H:%M:%S')}{decimals}Z"

@@ -10,6 +10,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from estimation.errors import ExchangeError, ParameterError
+from estimation.values.reasons import EPOCH
 from estimation.values.registry import MAX_AXLES, Kilometres
 from ingest.file_value import FIRST_YEAR, LAST_YEAR
 from ingest.input_file import InputFile, InputTable, Location, Text, field_error, read_toml, refusing
@@ -132,7 +133,7 @@ class RunTable(InputTable):
     @property
     def start_ns(self) -> int:
         """Time on the vehicle's clock at which the time of the table is 0, ns UTC."""
-        since = self.start.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)
+        since = self.start.astimezone(UTC) - EPOCH
         return (since.days * 86_400_000_000 + since.seconds * 1_000_000 + since.microseconds) * 1000
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from estimation.errors import ConflictError, ParameterError
 from estimation.values.runs import first_line
 from ingest.catalogue import SYNC_ID
-from ingest.frames import DATA_BYTES, ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
+from ingest.frames import DATA_BYTES, ERROR_FLAG, EXTENDED_FLAG, IDENTIFIER_BITS, REMOTE_FLAG, FrameBatch
 from ingest.live.spool import FrameBuffer, pack_frame
 from ingest.live.status import Backoff, LiveStatus, Reports
 
@@ -213,7 +213,6 @@ INTERFACES = (VIRTUAL, MULTICAST, "socketcan")
 RECEIVE_BYTES = 1 << 22
 """Of the socket: seconds of frames wait there while this process is held up. The kernel may grant less."""
 
-IDENTIFIER_BITS = 0x1FFF_FFFF
 
 _IP_MULTICAST_ALL, _IPV6_MULTICAST_ALL = 49, 29  # linux/in.h, linux/in6.h
 _SO_RCVBUFFORCE = 33  # asm-generic/socket.h: beyond net.core.rmem_max, where this process may

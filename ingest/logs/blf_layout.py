@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.errors import LogFileError
-from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch, channel_number
+from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, IDENTIFIER_BITS, REMOTE_FLAG, FrameBatch, channel_number
 
 FILE_SIGNATURE = b"LOGG"
 OBJECT_SIGNATURE = b"LOBJ"
@@ -115,7 +115,6 @@ def _fields(layout: np.dtype[np.void], prefix: str, at: int) -> dict[str, tuple[
 CONTAINER_BYTES = 128 * 1024
 COMPRESSION = 1  # zlib's fastest: 48-byte objects that are mostly equal shrink well at any level
 HEADER_SIZE = OBJECT_HEAD.itemsize
-IDENTIFIER_BITS = 0x1FFF_FFFF
 MILLISECOND_NS = 1_000_000
 
 

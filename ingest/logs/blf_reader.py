@@ -20,9 +20,10 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.errors import LogFileError
-from ingest.frames import DATA_BYTES, ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, channel_name
+from ingest.frames import DATA_BYTES, ERROR_FLAG, EXTENDED_FLAG, IDENTIFIER_BITS, REMOTE_FLAG, channel_name
+from ingest.input_file import MEBIBYTE
 from ingest.logs import blf_layout as blf
-from ingest.logs.log_format import MEBIBYTE, FramePart, FrameSink, LogFormat, ReadLimits
+from ingest.logs.log_format import FramePart, FrameSink, LogFormat, ReadLimits
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +163,6 @@ _BODIES = {
     blf.CAN_MESSAGE2: blf.CAN_BODY,
     blf.CAN_ERROR_EXT: blf.ERROR_BODY,
 }
-_IDENTIFIER_BITS = 0x1FFF_FFFF
 _STANDARD_BITS = 0x7FF
 
 
@@ -282,9 +282,9 @@ class _ObjectReader:
     def _identifiers(self, fields: npt.NDArray[Any], kind: int, where: str) -> npt.NDArray[np.uint32]:
         raw = fields["body_id"].astype(np.uint32)
         if kind == blf.CAN_ERROR_EXT:
-            return np.asarray((raw & np.uint32(_IDENTIFIER_BITS | EXTENDED_FLAG)) | np.uint32(ERROR_FLAG))
+            return np.asarray((raw & np.uint32(IDENTIFIER_BITS | EXTENDED_FLAG)) | np.uint32(ERROR_FLAG))
         if int(raw.max()) > _STANDARD_BITS:
-            most = np.where(raw & np.uint32(blf.EXTENDED), np.uint32(_IDENTIFIER_BITS), np.uint32(_STANDARD_BITS))
+            most = np.where(raw & np.uint32(blf.EXTENDED), np.uint32(IDENTIFIER_BITS), np.uint32(_STANDARD_BITS))
             beyond = (raw & np.uint32(~blf.EXTENDED & 0xFFFF_FFFF)) > most
             if beyond.any():
                 raise LogFileError(f"{where} or after it: identifier {int(raw[beyond][0]):#x} is out of range")

@@ -16,8 +16,7 @@ from estimation.errors import LogFileError
 from estimation.values.arrays import BoolArray, IntArray
 from estimation.values.units import DAY_NS
 from ingest.frames import DATA_BYTES, DEFAULT_CHANNEL, channel_name
-
-MEBIBYTE = 1 << 20
+from ingest.input_file import MEBIBYTE
 
 
 @dataclass(frozen=True, slots=True)

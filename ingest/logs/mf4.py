@@ -15,8 +15,9 @@ import numpy.typing as npt
 from estimation.errors import LogFileError, PassingFaultError
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.reasons import ReasonCode
-from ingest.frames import DATA_BYTES, ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
-from ingest.logs.log_format import MEBIBYTE, FramePart, FrameSink, LogFormat, ReadLimits, library_channel_name
+from ingest.frames import DATA_BYTES, ERROR_FLAG, EXTENDED_FLAG, IDENTIFIER_BITS, REMOTE_FLAG
+from ingest.input_file import MEBIBYTE
+from ingest.logs.log_format import FramePart, FrameSink, LogFormat, ReadLimits, library_channel_name
 
 BUS_EVENT, BUS_SOURCE, CAN_BUS = 0x02, 2, 2
 """Flag of a channel group of bus events; type of a source that is a bus, and of a bus that is CAN (ASAM MDF 4.1)."""
@@ -24,7 +25,6 @@ BUS_EVENT, BUS_SOURCE, CAN_BUS = 0x02, 2, 2
 DATA, ERROR, REMOTE = "CAN_DataFrame", "CAN_ErrorFrame", "CAN_RemoteFrame"
 KINDS = (DATA, ERROR, REMOTE)
 RECORDS = 131_072  # that are read of a group at a time
-IDENTIFIER_BITS = 0x1FFF_FFFF
 MICROSECONDS = 1_000_000
 
 

@@ -25,9 +25,9 @@ from typing import Any
 
 from estimation.errors import LogFileError, PassingFaultError
 from estimation.values.reasons import ReasonCode
-from ingest.input_file import end_with, limit_memory
+from ingest.input_file import MEBIBYTE, end_with, limit_memory
 from ingest.logs.formats import format_of
-from ingest.logs.log_format import COLUMNS, MEBIBYTE, FrameSink, ReadLimits
+from ingest.logs.log_format import COLUMNS, FrameSink, ReadLimits
 
 REQUEST_BYTES = 16_384
 DESCRIPTORS = 1 + len(COLUMNS)

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from enum import StrEnum
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
@@ -23,6 +23,7 @@ import orjson
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
 from estimation.errors import TreadwatchError
+from estimation.values.reasons import EPOCH
 from fleet_db.records import ChunkRecord, ChunkState
 from ingest.logs.formats import SUFFIXES
 from ingest.topic.client import Outcome, Topic, connected, kafka, require_client
@@ -43,7 +44,6 @@ VERSION = 1
 MOST_BYTES = 4096  # of the value of a message; what is larger is no reference
 MOST_NAME_LETTERS = 255
 SHOWN = 200  # letters of what is wrong with a message that the log shows
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _PRINTABLE = r"^[^\x00-\x1f\x7f]+$"
 
 
@@ -89,7 +89,7 @@ def message_of(reference: Reference, fleet: str) -> tuple[bytes, bytes]:
         "vehicle": reference.vehicle,
         "size_bytes": reference.size_bytes,
         "file_name": reference.file_name,
-        "received_at": (_EPOCH + timedelta(microseconds=reference.received_ns // 1000)).isoformat(),
+        "received_at": (EPOCH + timedelta(microseconds=reference.received_ns // 1000)).isoformat(),
     }
     return f"{fleet}:{reference.vehicle}".encode(), orjson.dumps(body)
 
@@ -136,7 +136,7 @@ def _of_its_key(key: bytes | None, body: _Body) -> Reference | Refused:
     suffix = f".{body.format}"
     if suffix not in SUFFIXES:
         return Refused(Outcome.MALFORMED, f"has the format {body.format!r}, none of {', '.join(SUFFIXES)}")
-    received_ns = (body.received_at - _EPOCH) // timedelta(microseconds=1) * 1000
+    received_ns = (body.received_at - EPOCH) // timedelta(microseconds=1) * 1000
     return Reference(body.sha256, suffix, body.vehicle, body.size_bytes, body.file_name, received_ns)
 
 
