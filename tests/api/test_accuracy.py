@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import api_fleet as fleet
 import httpx
 import numpy as np
+import populated_fleet
 import pytest
 from measured_fleet import BARE, OTHER, SERIAL, measure
 from running_service import running
@@ -25,7 +25,7 @@ def client(storage_url: str, tmp_path: Path) -> Iterator[httpx.Client]:
     """Yield a client of a service over measured wheelsets: one near its estimate, one far from it, two without."""
     settings = Settings(data_dir=tmp_path, database_url=storage_url, port=0, log_level="warning", _env_file=None)
     storage = open_store(settings)
-    fleet.populate(storage)
+    populated_fleet.populate(storage)
     measure(storage)
     with running(settings) as address, httpx.Client(base_url=address, timeout=30.0) as found:
         yield found

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import api_fleet as fleet
+import populated_fleet
 import pytest
 from typer.testing import CliRunner
 
@@ -30,7 +31,7 @@ def deployment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sqlite_url: str)
     monkeypatch.setenv("TREADWATCH_DATA_DIR", str(tmp_path / "data"))
     monkeypatch.setenv("COLUMNS", "200")
     storage = SqlStorage(database_engine(sqlite_url), tmp_path / "data")
-    fleet.populate(storage)
+    populated_fleet.populate(storage)
     with storage.write() as unit:
         for serial, code in ((fleet.WHEELSETS[2], ReasonCode.CLIPPED), (fleet.WHEELSETS[3], ReasonCode.SENSOR_FAULT)):
             for index in range(4 if code is ReasonCode.CLIPPED else 2):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import api_fleet as fleet
 import httpx
+import populated_fleet
 import pytest
 from running_service import running
 
@@ -25,7 +26,7 @@ def client(storage_url: str, tmp_path: Path) -> Iterator[httpx.Client]:
     """Yield a client of a service that knows intervals of two baselines, and windows of 300 days."""
     settings = Settings(data_dir=tmp_path, database_url=storage_url, port=0, log_level="warning", _env_file=None)
     storage = open_store(settings)
-    fleet.populate(storage)
+    populated_fleet.populate(storage)
     with storage.write() as unit:
         for place, (baseline, interval) in enumerate([(0, 3), (0, 4), (1, 0)]):
             record = fleet.geometry_record(fleet.RECORDED, 0.2 + 0.01 * place)
