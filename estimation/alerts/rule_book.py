@@ -11,7 +11,7 @@ evidence counts them and names a few: there may be thousands, and every event ca
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, TypeVar
 
@@ -21,12 +21,20 @@ from estimation.alerts.life_cycle import (
     DELAYS,
     SEVERITY_RANK,
     acknowledgement_ends_ns,
+    close,
+    section_transition,
     updated,
     without_stale_acknowledgement,
 )
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, MeasureRule
 from estimation.alerts.rules.rule import AlertDelays, AlertRule, WheelsetFacts
-from estimation.alerts.rules.running_gear import HuntingRule, LowAdhesionRule, SuspensionChangeRule, WeakDamperRule
+from estimation.alerts.rules.running_gear import (
+    HuntingRule,
+    LowAdhesionRule,
+    SuspensionChangeRule,
+    WeakDamperRule,
+    section_finding,
+)
 from estimation.alerts.rules.sensor_data import (
     DataQualityRule,
     IdentityRule,
@@ -40,6 +48,7 @@ from estimation.alerts.rules.wheels import WheelAsymmetryRule, WheelFlatRule
 from estimation.errors import InputError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Evidence, Finding, Transition
 from estimation.values.fields import JsonValue, Served
+from estimation.values.opinions import SectionAdhesion
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.trend import BEFORE, UNREGISTERED_CHANGE
@@ -65,6 +74,7 @@ ALERT_RULES: tuple[type[AlertRule], ...] = (
     UnregisteredChangeRule,
     WheelFlatRule,
 )
+SHIPPED_RULES: tuple[AlertRule, ...] = tuple(rule() for rule in ALERT_RULES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +89,7 @@ class AlarmFloodRule:
 class RuleBook:
     """One rule of every type; ``RuleBook()`` holds the shipped defaults."""
 
-    rules: tuple[AlertRule, ...] = field(default_factory=lambda: tuple(rule() for rule in ALERT_RULES))
+    rules: tuple[AlertRule, ...] = SHIPPED_RULES
     alarm_flood: AlarmFloodRule = field(default_factory=AlarmFloodRule)
     name: str = ""
     # the books of fleets and classes, by (fleet, class) with None for any other: of every pair of a fleet and a class
@@ -305,3 +315,30 @@ def _counted(members: Sequence[Alert]) -> dict[str, JsonValue]:
         "open_member_count": sum(member.closed_ns is None for member in members),
         "wheelsets": [member.wheelset for member in ordered[:MOST_NAMED]],
     }
+
+
+def section_changes(
+    book: RuleBook, friction: SectionAdhesion, fleets: Collection[str], standing: Mapping[str, Alert], now_ns: int
+) -> Iterator[Transition]:
+    """Yield what the friction of a section does to its alerts: those of the fleets that passed it, and of others.
+
+    Args:
+        standing: Open alerts of low adhesion on the section, by fleet.
+    """
+    finding = section_finding(book.rule(LowAdhesionRule), friction)
+    for fleet in sorted({*fleets, *standing}):
+        alert, rule = standing.get(fleet), book.of(fleet, None).rule(LowAdhesionRule)
+        if rule.enabled:
+            change = section_transition(
+                alert,
+                finding,
+                now_ns,
+                fleet=fleet,
+                track_section=friction.track_section,
+                delays=rule.delays,
+                rules_version=book.version,
+            )
+        else:
+            change = None if alert is None else close(alert, CloseReason.RULE_DISABLED, friction.to_ns)
+        if change is not None:
+            yield change

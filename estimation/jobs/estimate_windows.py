@@ -132,13 +132,13 @@ def judge(inputs: Readings) -> Outcome[Verdicts]:
 
 
 def store_verdicts(
-    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[Readings | None, Outcome[Verdicts]]]
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[Readings, Outcome[Verdicts]]]
 ) -> Mapping[str, int]:
     """Store which windows are believed; return how many have another verdict."""
     parts = [part for _, outcome in made.values() for part in outcome.parts]
     changed = unit.plausibility.judge({key: why for part in parts for key, why in (part.value or {}).items()})
-    read = [inputs for inputs, _ in made.values() if inputs is not None]
-    unit.due.settle_all(DueStage.MILEAGES, {key: version for one in read for key, version in one.seen.items()})
+    seen = {key: version for inputs, _ in made.values() for key, version in inputs.seen.items()}
+    unit.due.settle_all(DueStage.MILEAGES, seen)
     return {"mileages_judged": changed}
 
 
@@ -213,14 +213,10 @@ def _of_section(unit: UnitOfWork, classes: ClassLookup, code: str) -> Outdated:
     return Outdated(sorted(changed), aligned, classed)
 
 
-def let_wait(
-    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[Outdated | None, Outcome[None]]]
-) -> Mapping[str, int]:
+def let_wait(unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[Outdated, Outcome[None]]]) -> Mapping[str, int]:
     """Let windows wait again; count how many do and how many cannot, for their samples were purged."""
     counts: Counter[str] = Counter()
     for outdated, _outcome in made.values():
-        if outdated is None:
-            continue
         waiting = [WindowMark(*key, WindowState.PENDING) for key in (*outdated.changed, *outdated.aligned)]
         again = {mark.key for mark in unit.windows.mark_all(waiting)}
         counts["passed_over"] += len(set(outdated.changed) - again)
@@ -290,14 +286,11 @@ def _estimated(inputs: TableInputs) -> Estimated | Reason:
 def store_tables(
     unit: UnitOfWork,
     context: JobContext,
-    made: Mapping[str, tuple[TableInputs | None, Outcome[Estimated | Reason]]],
+    made: Mapping[str, tuple[TableInputs, Outcome[Estimated | Reason]]],
 ) -> Mapping[str, int]:
     """Store outcomes; windows that something has changed under since are due still: the next batch takes them."""
     found = [
-        (inputs, part.value)
-        for inputs, outcome in made.values()
-        for part in outcome.parts
-        if inputs is not None and part.value is not None
+        (inputs, part.value) for inputs, outcome in made.values() for part in outcome.parts if part.value is not None
     ]
     if not found:
         return {}

@@ -42,7 +42,7 @@ WORKLIST: AnyStage = Stage(
     kind=SubjectKind.WHEELSET,
     facets=FACETS,
     settings=lambda _: FORM,
-    load=lambda *_: {},
+    load=lambda _, subjects, __: dict.fromkeys(subjects),
     compute=lambda _: Outcome(),
     counted=Counted(looked="looked_at", changed="changed"),
     store=make_all,

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 from estimation.adhesion.creep_forces import FrictionParameters
 from estimation.adhesion.friction import section_adhesion, touched
-from estimation.alerts.life_cycle import close, section_transition
-from estimation.alerts.rules.running_gear import LowAdhesionRule, section_finding
+from estimation.alerts.rule_book import section_changes
+from estimation.alerts.rules.running_gear import LowAdhesionRule
 from estimation.dampers.damper import DamperParameters, gear_damper
 from estimation.dampers.parameters import DAMPING
 from estimation.jobs import estimate_windows, refresh_geometry
@@ -53,13 +53,10 @@ JOB_NAME = "refresh_adhesion"
 BESIDE = {"wheelsets", "looks", "results"}  # counts of stages that are no counts of the job
 
 
-def list_waiting(
-    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[bool | None, Outcome[None]]]
-) -> Mapping[str, int]:
+def list_waiting(unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[bool, Outcome[None]]]) -> Mapping[str, int]:
     """List the windows that waited for the first geometry of their wheelset."""
-    for serial, (has_geometry, _outcome) in made.items():
-        if has_geometry:
-            unit.adhesion.list_waiting(serial)
+    for serial in made:
+        unit.adhesion.list_waiting(serial)
     return {}
 
 
@@ -79,7 +76,7 @@ def load_creep(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> Ma
 
 
 def store_creep(
-    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[CreepInputs | None, Outcome[CreepOfWindow]]]
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[CreepInputs, Outcome[CreepOfWindow]]]
 ) -> Mapping[str, int]:
     """Store what windows with the same samples still say."""
     found = [part.value for _, outcome in made.values() for part in outcome.parts if part.value is not None]
@@ -117,11 +114,11 @@ def judge_dampers(inputs: VehicleDampers) -> Outcome[GearDamper]:
 
 
 def forget_windows(
-    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[VehicleDampers | None, Outcome[GearDamper]]]
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[VehicleDampers, Outcome[GearDamper]]]
 ) -> Mapping[str, int]:
     """Forget what windows say that do not count any more."""
     for inputs, _outcome in made.values():
-        for windows in () if inputs is None else inputs.gears:
+        for windows in inputs.gears:
             if len(windows) == JOBS.most_gear_windows:
                 unit.dampers.forget(*windows[-1].gear, windows[-1].start_ns)
     return {}
@@ -196,13 +193,11 @@ def find_friction(inputs: FrictionInputs) -> Outcome[SectionAdhesion]:
 
 
 def store_friction(
-    unit: UnitOfWork, context: JobContext, made: Mapping[str, tuple[FrictionInputs | None, Outcome[SectionAdhesion]]]
+    unit: UnitOfWork, context: JobContext, made: Mapping[str, tuple[FrictionInputs, Outcome[SectionAdhesion]]]
 ) -> Mapping[str, int]:
     """Store the friction of sections, their alerts, and what follows for their windows."""
     counts: Counter[str] = Counter()
     for inputs, outcome in made.values():
-        if inputs is None:
-            continue
         for span, part in zip(inputs.spans, outcome.parts, strict=True):
             if part.value is not None:
                 counts.update(_store_span(unit, context, span, part.value, inputs.made_with))
@@ -236,27 +231,12 @@ def _alert(
     unit: UnitOfWork, context: JobContext, rule: LowAdhesionRule, found: SectionAdhesion, fleets: Sequence[str]
 ) -> None:
     """Raise, update and clear the alerts of a section, one for each fleet that passed it."""
-    section, now_ns = found.track_section, context.clock.now_ns()
-    standing = {alert.fleet: alert for alert in unit.alerts.open_of_section(section, rule.kind)}
-    finding = section_finding(rule, found)
-    for fleet in sorted({*fleets, *standing}):
-        own = context.settings.rules.of(fleet, None).rule(LowAdhesionRule)
-        if not own.enabled:
-            if fleet in standing:
-                ended = close(standing[fleet], CloseReason.RULE_DISABLED, found.to_ns)
-                unit.alerts.save(ended.alert, ended.events, now_ns, note=CloseReason.RULE_DISABLED.sentence)
-            continue
-        change = section_transition(
-            standing.get(fleet),
-            finding,
-            now_ns,
-            fleet=fleet,
-            track_section=section,
-            delays=own.delays,
-            rules_version=context.settings.rules.version,
-        )
-        if change is not None:
-            unit.alerts.save(change.alert, change.events, now_ns)
+    now_ns = context.clock.now_ns()
+    standing = {alert.fleet: alert for alert in unit.alerts.open_of_section(found.track_section, rule.kind)}
+    for change in section_changes(context.settings.rules, found, fleets, standing, now_ns):
+        ended = change.alert.close_reason is CloseReason.RULE_DISABLED
+        note = CloseReason.RULE_DISABLED.sentence if ended else ""
+        unit.alerts.save(change.alert, change.events, now_ns, note=note)
 
 
 FIRST = Stage(

@@ -218,13 +218,12 @@ def _solve(
 
 
 def store(
-    unit: UnitOfWork, context: JobContext, made: Mapping[str, tuple[FoldInputs | None, Outcome[Computed]]]
+    unit: UnitOfWork, context: JobContext, made: Mapping[str, tuple[FoldInputs, Outcome[Computed]]]
 ) -> Mapping[str, int]:
     """Store what was computed of sections, and what was seen of their windows."""
     counts: Counter[str] = Counter()
     for inputs, outcome in made.values():
-        if inputs is not None:
-            _store(unit, context, inputs, outcome, counts)
+        _store(unit, context, inputs, outcome, counts)
     return counts
 
 

@@ -350,10 +350,10 @@ def compute(inputs: GeometryInputs) -> Outcome[WheelsetGeometry]:
 
 
 def store(
-    unit: UnitOfWork, context: JobContext, made: Mapping[str, tuple[GeometryInputs | None, Outcome[WheelsetGeometry]]]
+    unit: UnitOfWork, context: JobContext, made: Mapping[str, tuple[GeometryInputs, Outcome[WheelsetGeometry]]]
 ) -> Mapping[str, int]:
     """Store roll-ups with their state and the bins of current geometries, and drop what is no longer needed."""
-    inputs = {serial: one for serial, (one, _) in made.items() if one is not None}
+    inputs = {serial: loaded for serial, (loaded, _) in made.items()}
     whole = {serial: one for serial, one in inputs.items() if one.whole}
     being_made = {serial: _BEING_MADE for serial in inputs if serial not in whole}
     due = {serial: one.rolled.rolled for serial, one in whole.items() if one.rolled.rolled.due}

@@ -16,11 +16,11 @@ from enum import StrEnum
 from itertools import pairwise
 
 from estimation.adhesion.friction import section_adhesion
-from estimation.alerts.life_cycle import close, section_transition, transition
-from estimation.alerts.rule_book import RuleBook, findings, superseded
+from estimation.alerts.life_cycle import close, transition
+from estimation.alerts.rule_book import RuleBook, findings, section_changes, superseded
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
 from estimation.alerts.rules.rule import WheelsetFacts, within_reach
-from estimation.alerts.rules.running_gear import LowAdhesionRule, SuspensionChangeRule, WeakDamperRule, section_finding
+from estimation.alerts.rules.running_gear import LowAdhesionRule, SuspensionChangeRule, WeakDamperRule
 from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.jobs.refresh_trends import trend_of
 from estimation.jobs.steps.assumptions import identity_change
@@ -28,9 +28,8 @@ from estimation.jobs.steps.wheelset_facts import hunted_beside, newest_mileage, 
 from estimation.jobs.steps.window_creep import friction_parameters, pool_ends, pooled_ns
 from estimation.storage import UnitOfWork
 from estimation.trend.trend import TrendParameters, behind_step
-from estimation.values.alerts import Alert, CloseReason, Condition, Transition
+from estimation.values.alerts import Alert, Condition, Transition
 from estimation.values.geometry import GeometryRecord, IntervalConicities, interval_conicities
-from estimation.values.opinions import SectionAdhesion
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.trend import IDENTITY, IdentityChange, TrendRecord, WearTrend, since_change
 from estimation.values.units import DAY_NS
@@ -292,30 +291,7 @@ def section_replayed(unit: UnitOfWork, section: str, book: RuleBook, span: tuple
         found = section_adhesion(section, passes, friction_parameters(rule, unit, passes), length)
         if found is not None:
             fleets = {unit.registry.vehicle(code).fleet for code in {window_pass.vehicle for window_pass in passes}}
-            _evaluate_section(found, book, sorted({*fleets, *standing}), standing, closed)
+            for change in section_changes(book, found, fleets, dict(standing), found.to_ns):
+                _follow(change, change.alert.fleet, standing, closed)
     published = [one for one in (*closed, *standing.values()) if one.condition is not Condition.PENDING]
     return sorted(published, key=lambda one: (one.opened_ns, one.fleet))
-
-
-def _evaluate_section(
-    found: SectionAdhesion, book: RuleBook, fleets: Sequence[str], standing: dict[str, Alert], closed: list[Alert]
-) -> None:
-    """Bring the alerts of the fleets up to the end of a pooled span; those that end go to ``closed``."""
-    section, at_ns = found.track_section, found.to_ns
-    finding = section_finding(book.rule(LowAdhesionRule), found)
-    for fleet in fleets:
-        own = book.of(fleet, None).rule(LowAdhesionRule)
-        if not own.enabled:
-            if fleet in standing:
-                closed.append(close(standing.pop(fleet), CloseReason.RULE_DISABLED, at_ns).alert)
-            continue
-        change = section_transition(
-            standing.get(fleet),
-            finding,
-            at_ns,
-            fleet=fleet,
-            track_section=section,
-            delays=own.delays,
-            rules_version=book.version,
-        )
-        _follow(change, fleet, standing, closed)

@@ -259,7 +259,7 @@ class _Working:
         with self.context.storage.write(fenced=not self.stage.here) as unit:
             if self.stage.here:
                 made = self._not_stored_yet(unit, due, made)
-            computed = {subject: (loaded.get(subject), one.outcome) for subject, one in made.items() if one.outcome}
+            computed = {key: (loaded[key], one.outcome) for key, one in made.items() if one.outcome and key in loaded}
             results = [self._result(subject, one, part) for subject, one in made.items() for part in one.parts]
             changed = self._put(unit, results)
             if self.stage.store is not None and computed:

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, FromClause, Row, and_, func, or_, select, tuple_
+from sqlalchemy import ColumnElement, Connection, FromClause, Row, and_, func, or_, select
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.motion.parameters import MOTION
@@ -15,14 +15,25 @@ from estimation.values.geometry import BinTable, FilledCells, TableKey, WindowTa
 from estimation.values.roll_up import TabledWindow
 from estimation.values.windows import WindowKey, WindowRecord, WindowState
 from fleet_db.packed_values import pack_bin_table, unpack_bin_table, unpack_filled_cells
-from fleet_db.rows import batches, by_wheelset, given, on_sections, put_rows, replace_all, table_of
-from fleet_db.stores.window_rows import keys_given, list_for_sums, spans_given, to_window_record
+from fleet_db.rows import (
+    batches,
+    given,
+    grouped,
+    keys_given,
+    on_sections,
+    put_rows,
+    replace_all,
+    same_window,
+    table_of,
+    window_key,
+)
+from fleet_db.stores.window_rows import list_for_sums, spans_given, to_window_record
 from fleet_db.stores.windows import NOT_PASSED_OVER
 from fleet_db.subjects import ReadOnce, Subjects
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
-SAME_WINDOW = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
+SAME_WINDOW = same_window(WINDOWS, TABLES)
 BATCH = 500  # rows fetched at once
 TabledSpan = tuple[str, int, int | None, int]
 """Wheelset, first start, that behind the last one, and how many windows at most."""
@@ -154,15 +165,14 @@ class BinTableStore:
     def _all_tabled(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[TabledWindow]]:
         statement = WITHOUT_TABLES.where(TABLES.c.wheelset.in_(wheelsets))
         rows = self.connection.execute(statement.order_by(TABLES.c.wheelset, TABLES.c.start_ns))
-        return by_wheelset(rows, lambda row: _tabled([row])[0])
+        return grouped(rows, lambda row: _tabled([row])[0])
 
     def _last_readings(self, spans: Collection[tuple[str, int, int]]) -> Mapping[tuple[str, int, int], TabledWindow]:
         asked = spans_given(spans)
         earlier, its_window = TABLES.alias("earlier"), WINDOWS.alias("its_window")
-        same = and_(its_window.c.wheelset == earlier.c.wheelset, its_window.c.start_ns == earlier.c.start_ns)
         last = (
             select(earlier.c.start_ns)
-            .join_from(earlier, its_window, same)
+            .join_from(earlier, its_window, same_window(its_window, earlier))
             .where(*_within(earlier, asked), earlier.c.running_km.is_not(None))
             .where(func.abs(its_window.c.mileage_km) <= MOTION.most_mileage_km)
             .order_by(earlier.c.start_ns.desc())
@@ -188,7 +198,7 @@ class BinTableStore:
         return self.connection.execute(statement.where(chosen).order_by(TABLES.c.wheelset, TABLES.c.start_ns)).all()
 
     def _packed(self, keys: Collection[WindowKey]) -> Mapping[WindowKey, bytes]:
-        of_keys = tuple_(TABLES.c.wheelset, TABLES.c.start_ns).in_(sorted(keys))
+        of_keys = window_key(TABLES).in_(sorted(keys))
         rows = self.connection.execute(select(TABLES.c.wheelset, TABLES.c.start_ns, TABLES.c.packed).where(of_keys))
         return {(row.wheelset, row.start_ns): row.packed for row in rows}
 

@@ -39,8 +39,8 @@ from estimation.values.windows import (
 )
 from fleet_db.due import DUE, IS_PENDING, PLACED, is_due, list_due
 from fleet_db.records import ChunkState
-from fleet_db.rows import batches, by_wheelset, equal, given, replace_all, stored_reason, table_of, value_of_row
-from fleet_db.stores.window_rows import implausible_reason, keys_given, spans_given
+from fleet_db.rows import batches, equal, given, grouped, keys_given, replace_all, stored_reason, table_of, value_of_row
+from fleet_db.stores.window_rows import implausible_reason, spans_given
 from fleet_db.stores.windows import WindowStore
 from fleet_db.tables.operation import WorklistEntryRow
 from fleet_db.tables.recordings import ChunkRow
@@ -259,7 +259,7 @@ class PlausibilityStore:
         statement = select(WINDOWS.c.wheelset, *READING).where(WINDOWS.c.wheelset.in_(wheelsets))
         statement = statement.where(is_due(DueStage.MILEAGES, WINDOWS))
         rows = self.connection.execute(statement.order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns))
-        return by_wheelset(rows, _reading)
+        return grouped(rows, _reading)
 
     def readings_around(self, spans: Sequence[ReadingSpan]) -> Mapping[ReadingSpan, Sequence[MileageReading]]:
         """Return mileages in spans (wheelset, first, last start), one before and one after each, oldest first."""

@@ -13,13 +13,11 @@ from sqlalchemy import (
     Row,
     String,
     and_,
-    bindparam,
     delete,
     exists,
     literal,
     or_,
     select,
-    tuple_,
     union_all,
     update,
 )
@@ -45,11 +43,13 @@ from fleet_db.due import estimated, list_due, list_to_estimate, list_waiting
 from fleet_db.rows import (
     batches,
     columns_of,
+    keys_given,
     nan_if_null,
     null_if_nan,
     put_rows,
     reason_columns,
     replace_all,
+    same_window,
     stored_reason,
     table_of,
     value_of_row,
@@ -87,11 +87,6 @@ def noted_columns() -> list[ColumnElement[bool]]:
 def noted_in(row: Row[Any]) -> frozenset[str]:
     """Return the names of the columns of :func:`noted_columns` in a row that are true."""
     return frozenset(name for name in NOTED if getattr(row, name))
-
-
-def keys_given(table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows
-    """Return the condition that wheelset and start of a row are among the parameters ``keys``."""
-    return tuple_(table.c.wheelset, table.c.start_ns).in_(bindparam("keys", expanding=True))
 
 
 def spans_given(spans: Iterable[tuple[str, int, int | None]]) -> FromClause:
@@ -173,7 +168,7 @@ def remove_tables(connection: Connection, subjects: Subjects, keys: Sequence[Win
 
 def list_for_sums(connection: Connection, keys: Sequence[WindowKey]) -> None:
     """List windows whose bin table or its mileage is another, or is about to be removed: they are summed again."""
-    tabled = exists().where(TABLES.c.wheelset == WINDOWS.c.wheelset, TABLES.c.start_ns == WINDOWS.c.start_ns)
+    tabled = exists().where(same_window(TABLES, WINDOWS))
     for some in batches(keys):
         list_due(connection, DueStage.SUMS, and_(keys_given(WINDOWS), tabled), keys=some)
 

@@ -43,10 +43,10 @@ def load_assumptions(
 
 
 def list_other(
-    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[tuple[tuple[str, str], ...] | None, Outcome[None]]]
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[tuple[tuple[str, str], ...], Outcome[None]]]
 ) -> Mapping[str, int]:
     """List the windows whose signatures were made with other assumptions, or that waited for their class."""
-    unit.signatures.list_other([(wheelset, *one) for wheelset, (own, _) in made.items() for one in own or ()])
+    unit.signatures.list_other([(wheelset, *one) for wheelset, (own, _) in made.items() for one in own])
     return {}
 
 
@@ -154,7 +154,7 @@ def _signatures(inputs: WindowInputs, window: Window, made_with: WindowParameter
 
 
 def store_windows(
-    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[WindowInputs | None, Outcome[WindowSignatures]]]
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[WindowInputs, Outcome[WindowSignatures]]]
 ) -> Mapping[str, int]:
     """Store signatures of windows that have the same samples still; return how many are made again."""
     found = [part.value for _, outcome in made.values() for part in outcome.parts if part.value is not None]
@@ -163,7 +163,7 @@ def store_windows(
     keys = [(one.wheelset, one.start_ns) for one in found]
     now = {record.key: record.content_digest for record in unit.windows.several(keys, held=True)}
     unit.signatures.put_all([one for one in found if now.get((one.wheelset, one.start_ns)) == one.window_digest])
-    return {"made_again": sum(inputs is not None and inputs.again for inputs, _ in made.values())}
+    return {"made_again": sum(inputs.again for inputs, _ in made.values())}
 
 
 ASSUMED = Stage(
