@@ -71,22 +71,23 @@ def load_creep(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> Ma
         if record.state is WindowState.ESTIMATED and record.wheelset in having and record.track_section is not None
         if not record.samples_purged and looked_at.get(record.key) != record.content_digest
     ]
-    found = creep_inputs(unit, chosen, context.settings.estimation) if chosen else {}
-    return {text_of_key(*key): inputs for key, inputs in found.items()}
+    creep = creep_inputs(unit, chosen, context.settings.estimation) if chosen else {}
+    return {text_of_key(*key): inputs for key, inputs in creep.items()}
 
 
 def store_creep(
     unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[CreepInputs, Outcome[CreepOfWindow]]]
 ) -> Mapping[str, int]:
     """Store what windows with the same samples still say."""
-    found = [part.value for _, outcome in made.values() for part in outcome.parts if part.value is not None]
-    if not found:
+    looked_at = [part.value for _, outcome in made.values() for part in outcome.parts if part.value is not None]
+    if not looked_at:
         return {}
-    now = {one.key: one.content_digest for one in unit.windows.several([one.creep.key for one in found])}
-    unit.adhesion.put_all([one.creep for one in found if now.get(one.creep.key) == one.creep.content_digest])
-    dampers = {(*one.damper.gear, one.damper.start_ns): one.damper for one in found if one.damper is not None}
-    unit.dampers.put_all(list(dampers.values()))
-    return {"windows": len(found), "refused": sum(one.creep.reason is not None for one in found)}
+    creeps = [window.creep for window in looked_at]
+    now = {record.key: record.content_digest for record in unit.windows.several([creep.key for creep in creeps])}
+    unit.adhesion.put_all([creep for creep in creeps if now.get(creep.key) == creep.content_digest])
+    dampers = [window.damper for window in looked_at if window.damper is not None]
+    unit.dampers.put_all(list({(*damper.gear, damper.start_ns): damper for damper in dampers}.values()))
+    return {"windows": len(looked_at), "refused": sum(window.creep.reason is not None for window in looked_at)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,13 +105,13 @@ def load_dampers(unit: UnitOfWork, vehicles: Sequence[str], _: JobContext) -> Ma
         newest = tuple(unit.dampers.newest(vehicle, first_axle, JOBS.most_gear_windows))
         if newest:
             gears.setdefault(vehicle, []).append(newest)
-    return {vehicle: VehicleDampers(tuple(own), DamperParameters()) for vehicle, own in gears.items()}
+    return {vehicle: VehicleDampers(tuple(windows), DamperParameters()) for vehicle, windows in gears.items()}
 
 
 def judge_dampers(inputs: VehicleDampers) -> Outcome[GearDamper]:
     """Return the dampers of the running gears of a vehicle."""
-    found = [gear_damper(windows, inputs.parameters) for windows in inputs.gears]
-    return Outcome([Part(one, part=part_of_gear(one.first_axle)) for one in found])
+    dampers = [gear_damper(windows, inputs.parameters) for windows in inputs.gears]
+    return Outcome([Part(damper, part=part_of_gear(damper.first_axle)) for damper in dampers])
 
 
 def forget_windows(
@@ -148,7 +149,7 @@ class FrictionInputs:
 def load_friction(unit: UnitOfWork, sections: Sequence[str], context: JobContext) -> Mapping[str, FrictionInputs]:
     """Return the passes of some sections that are to be pooled: around new ones, or all where limits are others."""
     rule, made_with = context.settings.rules.rule(LowAdhesionRule), unit.adhesion.made_with(sections)
-    lengths = {one.code: one.length_m for one in unit.tracks.sections()}
+    lengths = {section.code: section.length_m for section in unit.tracks.sections()}
     return {
         section: _of_section(unit, section, lengths.get(section, 0.0), rule, made_with.get(section))
         for section in sections
@@ -188,8 +189,9 @@ def _span(unit: UnitOfWork, section: str, to_ns: int, rule: LowAdhesionRule) -> 
 
 def find_friction(inputs: FrictionInputs) -> Outcome[SectionAdhesion]:
     """Return the friction of a section over each of some spans."""
-    found = (section_adhesion(inputs.section, span.passes, span.parameters, inputs.length_m) for span in inputs.spans)
-    return Outcome([Part(one) for one in found], again_ns=None if inputs.older_ns is None else 0)
+    section, length = inputs.section, inputs.length_m
+    parts = [Part(section_adhesion(section, span.passes, span.parameters, length)) for span in inputs.spans]
+    return Outcome(parts, again_ns=None if inputs.older_ns is None else 0)
 
 
 def store_friction(
@@ -208,32 +210,32 @@ def store_friction(
 
 
 def _store_span(
-    unit: UnitOfWork, context: JobContext, span: Span, found: SectionAdhesion, made_with: str
+    unit: UnitOfWork, context: JobContext, span: Span, friction: SectionAdhesion, made_with: str
 ) -> Mapping[str, int]:
-    section, rule = found.track_section, context.settings.rules.rule(LowAdhesionRule)
+    section, rule = friction.track_section, context.settings.rules.rule(LowAdhesionRule)
     last, starts = unit.adhesion.section(section), [window_pass.start_ns for window_pass in span.passes]
     before = certain_stretches(unit, section, starts)
-    if not unit.adhesion.put_section(found, context.code_version, made_with):
+    if not unit.adhesion.put_section(friction, context.code_version, made_with):
         return {}
     after = certain_stretches(unit, section, starts)
     again = [p for p in span.passes if touched(p, before[p.start_ns]) != touched(p, after[p.start_ns])]
-    records = unit.windows.several([one.key for one in again]) if again else ()
+    records = unit.windows.several([p.key for p in again]) if again else ()
     standing = {r.key for r in records if not r.samples_purged and r.state is not WindowState.PENDING}
-    marks = [WindowMark(*one.key, WindowState.PENDING) for one in again if one.key in standing]
+    marks = [WindowMark(*p.key, WindowState.PENDING) for p in again if p.key in standing]
     unit.windows.mark_all(marks)
-    if last is None or found.to_ns >= last.to_ns:
-        _alert(unit, context, rule, found, span.fleets)
-        unit.adhesion.forget_sums(section, found.to_ns - WORK.sums_kept_ns)
-    return {"sections": 1, "low": bool(found.low_stretches), "estimated_again": len(marks)}
+    if last is None or friction.to_ns >= last.to_ns:
+        _alert(unit, context, rule, friction, span.fleets)
+        unit.adhesion.forget_sums(section, friction.to_ns - WORK.sums_kept_ns)
+    return {"sections": 1, "low": bool(friction.low_stretches), "estimated_again": len(marks)}
 
 
 def _alert(
-    unit: UnitOfWork, context: JobContext, rule: LowAdhesionRule, found: SectionAdhesion, fleets: Sequence[str]
+    unit: UnitOfWork, context: JobContext, rule: LowAdhesionRule, friction: SectionAdhesion, fleets: Sequence[str]
 ) -> None:
     """Raise, update and clear the alerts of a section, one for each fleet that passed it."""
     now_ns = context.clock.now_ns()
-    standing = {alert.fleet: alert for alert in unit.alerts.open_of_section(found.track_section, rule.kind)}
-    for change in section_changes(context.settings.rules, found, fleets, standing, now_ns):
+    standing = {alert.fleet: alert for alert in unit.alerts.open_of_section(friction.track_section, rule.kind)}
+    for change in section_changes(context.settings.rules, friction, fleets, standing, now_ns):
         ended = change.alert.close_reason is CloseReason.RULE_DISABLED
         note = CloseReason.RULE_DISABLED.sentence if ended else ""
         unit.alerts.save(change.alert, change.events, now_ns, note=note)

@@ -221,5 +221,5 @@ def _estimated(value: object) -> Iterator[tuple[float, float]]:
         for item in fields(value):
             yield from _estimated(getattr(value, item.name))
     elif isinstance(value, tuple):
-        for one in value:
-            yield from _estimated(one)
+        for item in value:
+            yield from _estimated(item)
