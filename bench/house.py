@@ -288,8 +288,8 @@ def frame_counts(root: Path) -> Iterator[Count]:
     traced = trace(root)
     to_geometry = {stage: files for stage, files in traced.items() if stage in TO_GEOMETRY}
     for name, before, reach, stages in (
-        ("its geometry", "175", "<= 80", to_geometry),
-        ("geometry, trend and alerts", "216", "<= 110", traced),
+        ("its geometry", "175", "<= 77", to_geometry),
+        ("geometry, trend and alerts", "216", "<= 98", traced),
     ):
         files = entered_files(stages)
         places = tuple(f"{file}  ({entered})" for file, entered in files.items())
