@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -135,7 +135,7 @@ class BinTableStore:
             return list(ahead)
         within = (*given(from_ns, TABLES.c.start_ns.__ge__), *given(to_ns, TABLES.c.start_ns.__lt__))
         statement = WITHOUT_TABLES.where(TABLES.c.wheelset == wheelset, *within)
-        return _tabled(self.connection.execute(statement.order_by(TABLES.c.start_ns)))
+        return [_tabled(row) for row in self.connection.execute(statement.order_by(TABLES.c.start_ns))]
 
     def last_reading(self, wheelset: str, from_ns: int, to_ns: int) -> TabledWindow | None:
         """Return the last window in ``[from_ns, to_ns)`` that has been summed and whose odometer had a reading."""
@@ -165,7 +165,7 @@ class BinTableStore:
     def _all_tabled(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[TabledWindow]]:
         statement = WITHOUT_TABLES.where(TABLES.c.wheelset.in_(wheelsets))
         rows = self.connection.execute(statement.order_by(TABLES.c.wheelset, TABLES.c.start_ns))
-        return grouped(rows, lambda row: _tabled([row])[0])
+        return grouped(rows, _tabled)
 
     def _last_readings(self, spans: Collection[tuple[str, int, int]]) -> Mapping[tuple[str, int, int], TabledWindow]:
         asked = spans_given(spans)
@@ -179,7 +179,7 @@ class BinTableStore:
             .limit(1)
         )
         chosen = TABLES.c.start_ns == last.correlate(asked).scalar_subquery()
-        return {(row.of_wheelset, row.from_ns, row.to_ns): _tabled([row])[0] for row in self._of_spans(asked, chosen)}
+        return {(row.of_wheelset, row.from_ns, row.to_ns): _tabled(row) for row in self._of_spans(asked, chosen)}
 
     def _some_tabled(self, spans: Collection[TabledSpan]) -> Mapping[TabledSpan, Sequence[TabledWindow]]:
         windows: dict[TabledSpan, list[TabledWindow]] = {span: [] for span in spans}
@@ -190,7 +190,7 @@ class BinTableStore:
             left_out = following.limit(1).offset(limit).correlate(asked).scalar_subquery()
             before = or_(left_out.is_(None), TABLES.c.start_ns < left_out)
             for row in self._of_spans(asked, and_(*_within(TABLES, asked), before)):
-                windows[row.of_wheelset, row.from_ns, row.to_ns, limit] += _tabled([row])
+                windows[row.of_wheelset, row.from_ns, row.to_ns, limit].append(_tabled(row))
         return windows
 
     def _of_spans(self, asked: FromClause, chosen: ColumnElement[bool]) -> Sequence[Row[Any]]:
@@ -254,15 +254,12 @@ def _within(table: FromClause, asked: FromClause) -> tuple[ColumnElement[bool], 
     return table.c.wheelset == asked.c.of_wheelset, table.c.start_ns >= asked.c.from_ns, before
 
 
-def _tabled(rows: Iterable[Row[Any]]) -> list[TabledWindow]:
-    return [
-        TabledWindow(
-            record=to_window_record(row),
-            parameter_key=row.parameter_key,
-            track_version=row.track_version,
-            content_digest=row.table_digest,
-            running_km=row.running_km,
-            samples_purged=row.samples_purged_ns is not None,
-        )
-        for row in rows
-    ]
+def _tabled(row: Row[Any]) -> TabledWindow:
+    return TabledWindow(
+        record=to_window_record(row),
+        parameter_key=row.parameter_key,
+        track_version=row.track_version,
+        content_digest=row.table_digest,
+        running_km=row.running_km,
+        samples_purged=row.samples_purged_ns is not None,
+    )
