@@ -1,4 +1,4 @@
-"""Rows of windows: read and written, the states of many at once, and where they were along their sections."""
+"""Rows of windows: read and written, and the states of many at once."""
 
 from __future__ import annotations
 
