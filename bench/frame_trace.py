@@ -61,13 +61,13 @@ class Trace:
 
     def result(self) -> dict[str, dict[str, list[str]]]:
         """Return by stage and file, relative to the packages' folder, the functions entered."""
-        found: dict[str, dict[str, set[str]]] = {}
+        entered: dict[str, dict[str, set[str]]] = {}
         for stage, codes in self.entered.items():
             for code in codes:
                 root = next(root for root in self.roots if code.co_filename.startswith(root))
                 file = str(Path(code.co_filename).relative_to(Path(root).parent))
-                found.setdefault(stage, {}).setdefault(file, set()).add(code.co_qualname)
-        return {stage: {file: sorted(names) for file, names in files.items()} for stage, files in found.items()}
+                entered.setdefault(stage, {}).setdefault(file, set()).add(code.co_qualname)
+        return {stage: {file: sorted(names) for file, names in files.items()} for stage, files in entered.items()}
 
 
 def main() -> None:

@@ -124,11 +124,11 @@ def on_sections(column: ColumnElement[str | None], sections: Collection[str]) ->
     return or_(named, column.is_(None)) if "" in sections else named
 
 
-def present(found: V | None, kind: str, key: object) -> V:
+def present(value: V | None, kind: str, key: object) -> V:
     """Return what was found of a kind under a key; NotFoundError: nothing was."""
-    if found is None:
+    if value is None:
         raise NotFoundError(kind, str(key))
-    return found
+    return value
 
 
 def batches(items: Sequence[V], size: int = 500) -> Iterator[Sequence[V]]:

@@ -106,15 +106,14 @@ class RuleBook:
 
     def of(self, fleet: str, vehicle_class: str | None) -> RuleBook:
         """Return the rules of the vehicles of a class in a fleet."""
-        named_fleet = fleet if any(one == fleet for one, _ in self.scoped) else None
-        named_class = vehicle_class if any(one == vehicle_class for _, one in self.scoped) else None
+        named_fleet = fleet if any(named == fleet for named, _ in self.scoped) else None
+        named_class = vehicle_class if any(named == vehicle_class for _, named in self.scoped) else None
         return self.scoped.get((named_fleet, named_class), self)
 
     def with_rules(self, *rules: AlertRule) -> RuleBook:
         """Return a book with these rules in place of those of their types, or added to them."""
-        given = {rule.kind: rule for rule in rules}
-        known = {rule.kind: rule for rule in self.rules}
-        return replace(self, rules=tuple((known | given).values()))
+        by_kind = {rule.kind: rule for rule in (*self.rules, *rules)}
+        return replace(self, rules=tuple(by_kind.values()))
 
     def rule(self, rule_type: type[Rule]) -> Rule:
         """Return the rule of a type."""
@@ -174,11 +173,11 @@ def findings(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> list[Finding]
     facts = replace(facts, not_assessable_reason=_not_assessable_reason(facts, first))
     if any(rule.kind == IdentityRule.kind and finding is not None and finding.breached for rule, finding in first):
         facts = replace(facts, intervals=())  # of another wheelset in part, until the mounting is corrected on file
-    found = first + [(rule, rule.find(facts, now_ns)) for rule in book.rules if rule.of_wear]
-    return [finding for rule, finding in found if finding is not None and rule.enabled]
+    results = first + [(rule, rule.find(facts, now_ns)) for rule in book.rules if rule.of_wear]
+    return [finding for rule, finding in results if finding is not None and rule.enabled]
 
 
-def _not_assessable_reason(facts: WheelsetFacts, found: list[tuple[AlertRule, Finding | None]]) -> Reason | None:
+def _not_assessable_reason(facts: WheelsetFacts, results: list[tuple[AlertRule, Finding | None]]) -> Reason | None:
     baseline = len(facts.wheelset.reprofilings)
     mounting, geometry = facts.wheelset.mounting, facts.geometry
     if geometry is None or geometry.baseline < baseline:
@@ -189,7 +188,7 @@ def _not_assessable_reason(facts: WheelsetFacts, found: list[tuple[AlertRule, Fi
         return Reason(ReasonCode.NO_DATA_SINCE_MOUNTING, "no data since it was mounted")
     if geometry.geometry.status is Status.MODEL_MISMATCH:  # nor is a trend from before the present state
         return geometry.geometry.reason
-    hidden = (rule.hides_wear for rule, finding in found if finding is not None and finding.breached)
+    hidden = (rule.hides_wear for rule, finding in results if finding is not None and finding.breached)
     return next(filter(None, hidden), None)
 
 
@@ -308,7 +307,7 @@ def _counted(members: Sequence[Alert]) -> dict[str, JsonValue]:
     """Return how many there are, and some of them: the same whatever the order in which they were stored."""
     ordered = sorted(
         members,
-        key=lambda one: (one.closed_ns is not None, -SEVERITY_RANK[one.severity], one.opened_ns, one.wheelset or ""),
+        key=lambda a: (a.closed_ns is not None, -SEVERITY_RANK[a.severity], a.opened_ns, a.wheelset or ""),
     )
     return {
         "member_count": len(members),

@@ -215,15 +215,15 @@ class EpochStore(RaisingStore):
         """Let an epoch be computed again, where it is there."""
         stale_epochs(self.subjects, [(section, number)])
 
-    def put_found(self, section: str, number: int, found: FoundOfVehicles | None) -> None:
+    def put_found(self, section: str, number: int, of_vehicles: FoundOfVehicles | None) -> None:
         """Store of which vehicles an epoch has found what matters for them alone, in the place of what was known."""
         self.subjects.places(section)
         of_epoch = (VEHICLES.c.section == section, VEHICLES.c.epoch == number)
         self.connection.execute(delete(VEHICLES).where(*of_epoch))
-        if found is None:
+        if of_vehicles is None:
             return
-        for vehicle, ratio in found.stiffness_ratio.items():
-            values = {"section": section, "epoch": number, "vehicle": vehicle, "version": found.version}
+        for vehicle, ratio in of_vehicles.stiffness_ratio.items():
+            values = {"section": section, "epoch": number, "vehicle": vehicle, "version": of_vehicles.version}
             self.connection.execute(insert(VEHICLES).values(**values, stiffness_ratio=ratio))
 
     def found(self, section: str, number: int, since: int) -> Mapping[str, float]:
