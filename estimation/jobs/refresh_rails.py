@@ -85,7 +85,7 @@ class AnchorInputs:
     @property
     def text(self) -> str:
         """All of it."""
-        of_sections = [(section.code, _rails_of(section), section.tonnage_mgt_per_year) for section in self.sections]
+        of_sections = [(section.code, RailShare.of(section), section.tonnage_mgt_per_year) for section in self.sections]
         named = (sorted(self.known), sorted((code, why.code) for code, why in self.other.items()), self.missing)
         rest = (named, self.rails, self.profile, self.nominal_radius, self.measured)
         return f"{of_sections!r} {rest!r}"
@@ -103,7 +103,7 @@ def anchor_inputs(unit: UnitOfWork, cells: Sequence[StoredCell], context: JobCon
     on_file, codes = unit.tracks.sections(), {entry.code for entry in context.settings.rails.known_sections}
     sections = tuple(section for section in on_file if section.code in windows)
     named = {section.code: _at_gauge(unit, section) for section in sections if section.code in codes}
-    rails = _most(named or {section.code: _rails_of(section) for section in sections}, windows)
+    rails = _most(named or {section.code: RailShare.of(section) for section in sections}, windows)
     alike = {code for code, its_rails in named.items() if rails is not None and _alike(its_rails, rails)}
     keys = sorted({cell.rail for cell in cells if cell.usable is not None and cell.rail.section in alike})
     as_on_file = frozenset(key for key in keys if _is_of_time(key, context.settings.rails))
@@ -125,7 +125,7 @@ def anchors(inputs: AnchorInputs, amplitude: FloatArray) -> Anchors:
     wheel = designed_wheel(inputs.profile, inputs.nominal_radius)
     if inputs.rails is None:
         return Anchors(ReferenceWheel(inputs.profile, nothing))
-    rails = {section.code: _rails_of(section) for section in inputs.sections}
+    rails = {section.code: RailShare.of(section) for section in inputs.sections}
     of_rails = {
         rail: nothing if wheel is None else conicity_on_rails(wheel, rail, amplitude)[0]
         for rail in {inputs.rails, *rails.values()}
@@ -184,13 +184,9 @@ def _is_of_time(key: RailKey, settings: RailsSettings) -> bool:
     return any(day // model.period_days <= key.period <= (day + model.known_days) // model.period_days for day in days)
 
 
-def _rails_of(section: TrackSectionRecord) -> RailShare:
-    return RailShare(section.rail_profile, section.rail_inclination, section.nominal_gauge_m, 1.0)
-
-
 def _at_gauge(unit: UnitOfWork, section: TrackSectionRecord) -> RailShare:
     """Return the rails of a section at their mean gauge, as far as that is on file."""
-    rails, track = _rails_of(section), unit.tracks.alignment(section.code, None)
+    rails, track = RailShare.of(section), unit.tracks.alignment(section.code, None)
     if track is None or not track.gauge_known:
         return rails
     return replace(rails, gauge=round(rails.gauge + float(np.mean(track.gauge_deviation)), JOBS.gauge_digits))

@@ -165,7 +165,7 @@ class EntryReader:
         measured, far_km = self.unit.registry.measured_profiles(wheelset), self.parameters.most_mileage_km
         near = [item for item in measured if abs(item.mileage_km - window.mileage_km) <= far_km]
         same = [item for item in near if self.baseline_at(wheelset, item.at_ns).number == baseline]
-        rails = RailShare(section.rail_profile, section.rail_inclination, section.nominal_gauge_m, 1.0)
+        rails = RailShare.of(section)
         for item in sorted(same, key=lambda item: abs(item.mileage_km - window.mileage_km)):
             contact = self._contact(item, self.classes.wheelset(wheelset), rails)
             if contact is not None:

@@ -300,7 +300,7 @@ def surroundings(
 
 def rails_of(sections: Iterable[TrackSectionRecord]) -> frozenset[RailShare]:
     """Return the kinds of rails that there are."""
-    return frozenset(RailShare(s.rail_profile, s.rail_inclination, s.nominal_gauge_m, 1.0) for s in sections)
+    return frozenset(map(RailShare.of, sections))
 
 
 def _designed(wheelset: WheelsetRecord, rails: Collection[RailShare]) -> Mapping[float, float] | None:
