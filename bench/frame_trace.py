@@ -5,7 +5,8 @@
 (``ingest``), runs the jobs one by one (``estimate --job``) and asks the ASGI application for the wheelset's geometry,
 trend and alerts. The output maps each stage to the files of the four packages, and each file to the functions that were
 called. What runs while a module is imported is not counted; neither are class bodies, nor methods that the
-interpreter generates, which have no file. Compiled kernels are not seen; the functions that call them are.
+interpreter generates, which have no file. Compiled kernels are not seen; the functions that call them are. The thread
+that waits for webhooks is left out: it runs beside, at no certain time.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from types import CodeType, FrameType
 PACKAGES = ("api", "ingest", "fleet_db", "estimation")
 JOBS = ("estimate_windows", "refresh_geometry", "refresh_trends", "evaluate_alerts")
 ALIGNMENT_JOB = "refresh_alignment"
+BESIDE = "webhooks"
+"""Name of the thread of the REST API that has no part in an answer."""
 
 
 class Trace:
@@ -41,7 +44,7 @@ class Trace:
         """Note the function that is entered; the profiler's hook."""
         if event != "call" or frame.f_code in self._now:
             return
-        if self._ours(frame.f_code) and not self._importing(frame):
+        if threading.current_thread().name != BESIDE and self._ours(frame.f_code) and not self._importing(frame):
             self._now.add(frame.f_code)
 
     def _ours(self, code: CodeType) -> bool:
@@ -58,13 +61,13 @@ class Trace:
 
     def result(self) -> dict[str, dict[str, list[str]]]:
         """Return by stage and file, relative to the packages' folder, the functions entered."""
-        found: dict[str, dict[str, set[str]]] = {}
+        entered: dict[str, dict[str, set[str]]] = {}
         for stage, codes in self.entered.items():
             for code in codes:
                 root = next(root for root in self.roots if code.co_filename.startswith(root))
                 file = str(Path(code.co_filename).relative_to(Path(root).parent))
-                found.setdefault(stage, {}).setdefault(file, set()).add(code.co_qualname)
-        return {stage: {file: sorted(names) for file, names in files.items()} for stage, files in found.items()}
+                entered.setdefault(stage, {}).setdefault(file, set()).add(code.co_qualname)
+        return {stage: {file: sorted(names) for file, names in files.items()} for stage, files in entered.items()}
 
 
 def main() -> None:

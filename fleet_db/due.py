@@ -41,7 +41,7 @@ from estimation.values.runs import FAILED, Due, Facet, Mark, StageInputs, Subjec
 from estimation.values.signatures import OF_OTHERS, SIGNATURES
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import DueStage, WindowKey, WindowState, key_of_text, text_of_key
-from fleet_db.rows import batches, by_wheelset, equal, given, insert_of, reason_columns, table_of
+from fleet_db.rows import batches, equal, given, grouped, insert_of, reason_columns, same_window, table_of, window_key
 from fleet_db.subjects import REGISTRY_VERSION, ReadOnce, Subjects
 from fleet_db.tables.track import (
     TrackAlignmentRow,
@@ -53,15 +53,11 @@ from fleet_db.tables.track import (
 from fleet_db.tables.windows import PENDING, WearSignatureRow, WindowAdhesionRow, WindowDueRow, WindowRow
 
 DUE, WINDOWS = table_of(WindowDueRow), table_of(WindowRow)
-WINDOW_KEY = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns)
+WINDOW_KEY = window_key(WINDOWS)
 OF_WINDOWS = table_of(WearSignatureRow)
-SAME_WINDOW = and_(OF_WINDOWS.c.wheelset == WINDOWS.c.wheelset, OF_WINDOWS.c.start_ns == WINDOWS.c.start_ns)
+SAME_WINDOW = same_window(OF_WINDOWS, WINDOWS)
 OF_CREEP = table_of(WindowAdhesionRow)
-_LOOKED_AT = select(OF_CREEP.c.with_sums).where(
-    OF_CREEP.c.wheelset == WINDOWS.c.wheelset,
-    OF_CREEP.c.start_ns == WINDOWS.c.start_ns,
-    OF_CREEP.c.content_digest == WINDOWS.c.content_digest,
-)
+_LOOKED_AT = select(OF_CREEP.c.with_sums).where(same_window(OF_CREEP, WINDOWS, "content_digest"))
 NOT_LOOKED_AT = and_(
     WINDOWS.c.state == WindowState.ESTIMATED.value,
     WINDOWS.c.samples_purged_ns.is_(None),
@@ -75,11 +71,7 @@ POSITIONS, ALIGNMENTS, VERSIONS = table_of(WindowPositionRow), table_of(TrackAli
 NAMED: ColumnElement[str] = literal_column("stages.stage", String)
 """Stage that a window is listed for, in conditions that are of some stages alone."""
 IS_PENDING = and_(PENDING)  # word for word that of the index: a parameter would keep SQLite from it
-PLACED = exists().where(
-    POSITIONS.c.wheelset == WINDOWS.c.wheelset,
-    POSITIONS.c.start_ns == WINDOWS.c.start_ns,
-    POSITIONS.c.content_digest == WINDOWS.c.content_digest,
-)
+PLACED = exists().where(same_window(POSITIONS, WINDOWS, "content_digest"))
 """Condition that the position of a window was found from its samples."""
 
 
@@ -96,7 +88,7 @@ class WindowDueStore:
         def read(some: Collection[str]) -> Mapping[str, Sequence[tuple[int, int]]]:
             statement = select(DUE).where(DUE.c.stage == stage.value, DUE.c.wheelset.in_(some))
             rows = self.connection.execute(statement.order_by(DUE.c.start_ns))
-            return by_wheelset(rows, lambda row: (row.start_ns, row.version))
+            return grouped(rows, lambda row: (row.start_ns, row.version))
 
         return dict(self.once.of_wheelset(f"due {stage}", wheelset, read) or ())
 
@@ -117,11 +109,10 @@ class WindowDueStore:
         """Return the windows, some or all, that are due by key as text, in the order of vehicle, time and wheelset."""
         statement = select(DUE, REGISTRY_VERSION.label("registry")).where(DUE.c.stage == inputs.stage)
         if inputs.stage == DueStage.TABLES:
-            is_same = and_(WINDOWS.c.wheelset == DUE.c.wheelset, WINDOWS.c.start_ns == DUE.c.start_ns)
             ready = or_(DUE.c.section.not_in(_aligned_by_fleet()), PLACED, WINDOWS.c.state.is_(None))
-            statement = statement.outerjoin(WINDOWS, is_same).where(ready)
+            statement = statement.outerjoin(WINDOWS, same_window(WINDOWS, DUE)).where(ready)
         if keys is not None:
-            statement = statement.where(tuple_(DUE.c.wheelset, DUE.c.start_ns).in_([key_of_text(key) for key in keys]))
+            statement = statement.where(window_key(DUE).in_([key_of_text(key) for key in keys]))
         rows = self.connection.execute(statement.order_by(DUE.c.vehicle, DUE.c.start_ns, DUE.c.wheelset))
         return {text_of_key(row.wheelset, row.start_ns): Due(row.version, registry=row.registry) for row in rows}
 
@@ -204,8 +195,7 @@ def estimated(connection: Connection, keys: Sequence[WindowKey], tabled: Collect
 
 def is_due(stage: DueStage, table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows
     """Return the condition that the window of a row, with ``wheelset`` and ``start_ns``, is due."""
-    same = (DUE.c.wheelset == table.c.wheelset, DUE.c.start_ns == table.c.start_ns)
-    return select(DUE.c.version).where(DUE.c.stage == stage.value, *same).exists()
+    return select(DUE.c.version).where(DUE.c.stage == stage.value, same_window(DUE, table)).exists()
 
 
 def _listed(dialect: str, stages: Sequence[str], chosen: ColumnElement[bool], *, raised: bool = True) -> Insert:
@@ -255,12 +245,8 @@ def _removal() -> Delete:
 
 
 EPOCHS, MEMBERS = table_of(TrackEpochRow), table_of(TrackEpochWindowRow)
-OF_WINDOW = and_(MEMBERS.c.wheelset == WINDOWS.c.wheelset, MEMBERS.c.start_ns == WINDOWS.c.start_ns)
-PLACED_MEMBER = and_(
-    POSITIONS.c.wheelset == MEMBERS.c.wheelset,
-    POSITIONS.c.start_ns == MEMBERS.c.start_ns,
-    POSITIONS.c.content_digest == MEMBERS.c.content_digest,
-)
+OF_WINDOW = same_window(MEMBERS, WINDOWS)
+PLACED_MEMBER = same_window(POSITIONS, MEMBERS, "content_digest")
 OF_EPOCH = (MEMBERS.c.section, MEMBERS.c.epoch)
 
 
@@ -284,7 +270,7 @@ def windows_left(subjects: Subjects, keys: Sequence[WindowKey]) -> None:
     held = select(*OF_EPOCH).select_from(MEMBERS.outerjoin(WINDOWS, OF_WINDOW)).where(elsewhere).distinct()
     epochs = set[tuple[str, int]]()
     for some in batches(sorted(keys)):
-        of_windows = held.where(tuple_(MEMBERS.c.wheelset, MEMBERS.c.start_ns).in_(some))
+        of_windows = held.where(window_key(MEMBERS).in_(some))
         epochs.update((row.section, row.epoch) for row in subjects.connection.execute(of_windows))
     stale_epochs(subjects, sorted(epochs))
 

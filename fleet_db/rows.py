@@ -15,12 +15,14 @@ from sqlalchemy import (
     Row,
     Select,
     Table,
+    Tuple,
     Update,
     and_,
     bindparam,
     delete,
     or_,
     select,
+    tuple_,
     update,
 )
 from sqlalchemy.dialects import postgresql, sqlite
@@ -122,11 +124,11 @@ def on_sections(column: ColumnElement[str | None], sections: Collection[str]) ->
     return or_(named, column.is_(None)) if "" in sections else named
 
 
-def present(found: V | None, kind: str, key: object) -> V:
+def present(value: V | None, kind: str, key: object) -> V:
     """Return what was found of a kind under a key; NotFoundError: nothing was."""
-    if found is None:
+    if value is None:
         raise NotFoundError(kind, str(key))
-    return found
+    return value
 
 
 def batches(items: Sequence[V], size: int = 500) -> Iterator[Sequence[V]]:
@@ -135,12 +137,27 @@ def batches(items: Sequence[V], size: int = 500) -> Iterator[Sequence[V]]:
         yield items[first : first + size]
 
 
-def by_wheelset(rows: Iterable[Any], value: Callable[[Any], V]) -> dict[str, list[V]]:
-    """Return the values of rows by their wheelset, in their order."""
+def grouped(rows: Iterable[Any], value: Callable[[Any], V] | None = None, by: str = "wheelset") -> dict[str, list[V]]:
+    """Return rows, or a value of each, by one of their columns, in their order."""
     values: dict[str, list[V]] = {}
     for row in rows:
-        values.setdefault(row.wheelset, []).append(value(row))
+        values.setdefault(getattr(row, by), []).append(row if value is None else value(row))
     return values
+
+
+def window_key(table: Any) -> Tuple:  # noqa: ANN401 - a table with the key of windows, here and below
+    """Return wheelset and start of a row as one, to be compared with keys of windows."""
+    return tuple_(table.c.wheelset, table.c.start_ns)
+
+
+def keys_given(table: Any) -> ColumnElement[bool]:  # noqa: ANN401
+    """Return the condition that wheelset and start of a row are among the parameters ``keys``."""
+    return window_key(table).in_(bindparam("keys", expanding=True))
+
+
+def same_window(first: Any, second: Any, *columns: str) -> ColumnElement[bool]:  # noqa: ANN401
+    """Return the condition that rows of two tables are of one window, and have other columns in common."""
+    return and_(*(first.c[name] == second.c[name] for name in ("wheelset", "start_ns", *columns)))
 
 
 def null_if_nan(value: float | None) -> float | None:

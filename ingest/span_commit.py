@@ -138,8 +138,8 @@ def _put(
     refused = before is not None and before.reason is not None and before.reason.code is ReasonCode.FILE_DAMAGED
     lost = before is not None and not unit.assembled.intact(before, verify=verify or refused)
     stored = unit.windows.put(window, assembled.mileage_km, recorded_ns)
-    unit.plausibility.note_odometer(window.wheelset, window.start_ns, assembled.odometer_excess_m)
-    unit.plausibility.note_place(window.wheelset, window.start_ns, assembled.off_line_m)
+    noted = (assembled.odometer_excess_m, assembled.off_line_m)
+    unit.plausibility.note(window.wheelset, window.start_ns, *noted)
     after = unit.windows.get(window.wheelset, window.start_ns)
     assert after is not None
     same = before is not None and before.content_digest == after.content_digest

@@ -24,6 +24,7 @@ from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.fields import Served
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.track import TrackSectionRecord
 from estimation.values.units import IN_MM, NORMAL_95
 
 AMPLITUDES: FloatArray = np.array(ACCURACY.amplitudes)
@@ -37,6 +38,11 @@ class RailShare:
     inclination: Annotated[float, Served(name="rail_inclination_1", example=0.025)]  # tangent
     gauge: Annotated[float, Served(name="nominal_gauge_mm", scale=IN_MM, example=1435.0)]  # m, nominal
     share: Annotated[float, Served("Share of the running on them.", "share_1", example=1.0)]
+
+    @classmethod
+    def of(cls, section: TrackSectionRecord) -> RailShare:
+        """Return the rails of a section, for a wheelset that runs on no others."""
+        return cls(section.rail_profile, section.rail_inclination, section.nominal_gauge_m, 1.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ evidence counts them and names a few: there may be thousands, and every event ca
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, TypeVar
 
@@ -21,12 +21,20 @@ from estimation.alerts.life_cycle import (
     DELAYS,
     SEVERITY_RANK,
     acknowledgement_ends_ns,
+    close,
+    section_transition,
     updated,
     without_stale_acknowledgement,
 )
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, MeasureRule
 from estimation.alerts.rules.rule import AlertDelays, AlertRule, WheelsetFacts
-from estimation.alerts.rules.running_gear import HuntingRule, LowAdhesionRule, SuspensionChangeRule, WeakDamperRule
+from estimation.alerts.rules.running_gear import (
+    HuntingRule,
+    LowAdhesionRule,
+    SuspensionChangeRule,
+    WeakDamperRule,
+    section_finding,
+)
 from estimation.alerts.rules.sensor_data import (
     DataQualityRule,
     IdentityRule,
@@ -40,6 +48,7 @@ from estimation.alerts.rules.wheels import WheelAsymmetryRule, WheelFlatRule
 from estimation.errors import InputError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Evidence, Finding, Transition
 from estimation.values.fields import JsonValue, Served
+from estimation.values.opinions import SectionAdhesion
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.trend import BEFORE, UNREGISTERED_CHANGE
@@ -65,6 +74,7 @@ ALERT_RULES: tuple[type[AlertRule], ...] = (
     UnregisteredChangeRule,
     WheelFlatRule,
 )
+SHIPPED_RULES: tuple[AlertRule, ...] = tuple(rule() for rule in ALERT_RULES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +89,7 @@ class AlarmFloodRule:
 class RuleBook:
     """One rule of every type; ``RuleBook()`` holds the shipped defaults."""
 
-    rules: tuple[AlertRule, ...] = field(default_factory=lambda: tuple(rule() for rule in ALERT_RULES))
+    rules: tuple[AlertRule, ...] = SHIPPED_RULES
     alarm_flood: AlarmFloodRule = field(default_factory=AlarmFloodRule)
     name: str = ""
     # the books of fleets and classes, by (fleet, class) with None for any other: of every pair of a fleet and a class
@@ -96,15 +106,14 @@ class RuleBook:
 
     def of(self, fleet: str, vehicle_class: str | None) -> RuleBook:
         """Return the rules of the vehicles of a class in a fleet."""
-        named_fleet = fleet if any(one == fleet for one, _ in self.scoped) else None
-        named_class = vehicle_class if any(one == vehicle_class for _, one in self.scoped) else None
+        named_fleet = fleet if any(named == fleet for named, _ in self.scoped) else None
+        named_class = vehicle_class if any(named == vehicle_class for _, named in self.scoped) else None
         return self.scoped.get((named_fleet, named_class), self)
 
     def with_rules(self, *rules: AlertRule) -> RuleBook:
         """Return a book with these rules in place of those of their types, or added to them."""
-        given = {rule.kind: rule for rule in rules}
-        known = {rule.kind: rule for rule in self.rules}
-        return replace(self, rules=tuple((known | given).values()))
+        by_kind = {rule.kind: rule for rule in (*self.rules, *rules)}
+        return replace(self, rules=tuple(by_kind.values()))
 
     def rule(self, rule_type: type[Rule]) -> Rule:
         """Return the rule of a type."""
@@ -164,11 +173,11 @@ def findings(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> list[Finding]
     facts = replace(facts, not_assessable_reason=_not_assessable_reason(facts, first))
     if any(rule.kind == IdentityRule.kind and finding is not None and finding.breached for rule, finding in first):
         facts = replace(facts, intervals=())  # of another wheelset in part, until the mounting is corrected on file
-    found = first + [(rule, rule.find(facts, now_ns)) for rule in book.rules if rule.of_wear]
-    return [finding for rule, finding in found if finding is not None and rule.enabled]
+    results = first + [(rule, rule.find(facts, now_ns)) for rule in book.rules if rule.of_wear]
+    return [finding for rule, finding in results if finding is not None and rule.enabled]
 
 
-def _not_assessable_reason(facts: WheelsetFacts, found: list[tuple[AlertRule, Finding | None]]) -> Reason | None:
+def _not_assessable_reason(facts: WheelsetFacts, results: list[tuple[AlertRule, Finding | None]]) -> Reason | None:
     baseline = len(facts.wheelset.reprofilings)
     mounting, geometry = facts.wheelset.mounting, facts.geometry
     if geometry is None or geometry.baseline < baseline:
@@ -179,7 +188,7 @@ def _not_assessable_reason(facts: WheelsetFacts, found: list[tuple[AlertRule, Fi
         return Reason(ReasonCode.NO_DATA_SINCE_MOUNTING, "no data since it was mounted")
     if geometry.geometry.status is Status.MODEL_MISMATCH:  # nor is a trend from before the present state
         return geometry.geometry.reason
-    hidden = (rule.hides_wear for rule, finding in found if finding is not None and finding.breached)
+    hidden = (rule.hides_wear for rule, finding in results if finding is not None and finding.breached)
     return next(filter(None, hidden), None)
 
 
@@ -298,10 +307,37 @@ def _counted(members: Sequence[Alert]) -> dict[str, JsonValue]:
     """Return how many there are, and some of them: the same whatever the order in which they were stored."""
     ordered = sorted(
         members,
-        key=lambda one: (one.closed_ns is not None, -SEVERITY_RANK[one.severity], one.opened_ns, one.wheelset or ""),
+        key=lambda a: (a.closed_ns is not None, -SEVERITY_RANK[a.severity], a.opened_ns, a.wheelset or ""),
     )
     return {
         "member_count": len(members),
         "open_member_count": sum(member.closed_ns is None for member in members),
         "wheelsets": [member.wheelset for member in ordered[:MOST_NAMED]],
     }
+
+
+def section_changes(
+    book: RuleBook, friction: SectionAdhesion, fleets: Collection[str], standing: Mapping[str, Alert], now_ns: int
+) -> Iterator[Transition]:
+    """Yield what the friction of a section does to its alerts: those of the fleets that passed it, and of others.
+
+    Args:
+        standing: Open alerts of low adhesion on the section, by fleet.
+    """
+    finding = section_finding(book.rule(LowAdhesionRule), friction)
+    for fleet in sorted({*fleets, *standing}):
+        alert, rule = standing.get(fleet), book.of(fleet, None).rule(LowAdhesionRule)
+        if rule.enabled:
+            change = section_transition(
+                alert,
+                finding,
+                now_ns,
+                fleet=fleet,
+                track_section=friction.track_section,
+                delays=rule.delays,
+                rules_version=book.version,
+            )
+        else:
+            change = None if alert is None else close(alert, CloseReason.RULE_DISABLED, friction.to_ns)
+        if change is not None:
+            yield change

@@ -84,9 +84,9 @@ def job_named(name: str) -> Job:
 
 
 def _named(all_of_kind: Sequence[T], kind: str, name: str) -> T:
-    for one in all_of_kind:
-        if one.name == name:
-            return one
+    for item in all_of_kind:
+        if item.name == name:
+            return item
     raise NotFoundError(kind, name)
 
 

@@ -60,7 +60,7 @@ def load_jumps(unit: UnitOfWork, serials: Sequence[str], context: JobContext) ->
     parameters = context.settings.rules.rule(IdentityRule).parameters
     wheelsets, changes = unit.registry.wheelsets_of(serials), identity_changes(unit, serials)
     before = {result.subject: result.parameters for result in unit.results.in_force(JUMP, serials)}
-    in_service = {one.serial: len(one.reprofilings) for one in wheelsets if one.mounting is not None}
+    in_service = {record.serial: len(record.reprofilings) for record in wheelsets if record.mounting is not None}
     numbers = unit.geometries.interval_numbers(in_service)
     looks = {}
     for wheelset in wheelsets:
@@ -109,18 +109,19 @@ def _changed_since(
     for back in JOBS.intervals_read:
         first = earlier[-back] if len(earlier) > back else None
         read = unit.geometries.intervals(serial, look.baseline, first=first)
-        usable = [one for one in read if one.interval in earlier and one.geometry.windows >= parameters.least_windows]
+        before = [record for record in read if record.interval in earlier]
+        usable = [record for record in before if record.geometry.windows >= parameters.least_windows]
         if first is None or len(usable) >= JOBS.intervals_before_change:
-            known = _observations(read, change)
-            if first is None or not jumps(known, parameters):
-                return known
+            observations = _observations(read, change)
+            if first is None or not jumps(observations, parameters):
+                return observations
             break
     return _observations(unit.geometries.intervals(serial, look.baseline), change)
 
 
 def _observations(records: Sequence[GeometryRecord], change: IdentityChange | None) -> list[Observation]:
-    known = [_observation(record) for record in since_change(records, change) if record.geometry.windows]
-    return sorted(known, key=lambda item: item.from_ns)
+    observations = [_observation(record) for record in since_change(records, change) if record.geometry.windows]
+    return sorted(observations, key=lambda item: item.from_ns)
 
 
 def _observation(record: GeometryRecord) -> Observation:
@@ -221,7 +222,7 @@ def compute(inputs: SuspensionInputs) -> Outcome[SuspensionShown]:
     histories = suspension_histories(inputs.findings, inputs.parameters)
     shown = {code: _shown(rule, code, histories.get(code, iter(()))) for code, rule in inputs.rules.items()}
     # findings of others on its sections count as far as they change what is shown
-    return Outcome([Part(one, subject=code, made_from=made_from(one)) for code, one in shown.items()])
+    return Outcome([Part(change, subject=code, made_from=made_from(change)) for code, change in shown.items()])
 
 
 def _shown(rule: SuspensionChangeRule, vehicle: str, history: Iterator[SuspensionChange]) -> SuspensionShown:

@@ -14,6 +14,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain
 
 from estimation.errors import NotFoundError, PassingFaultError
 from estimation.jobs.job import Job, JobContext
@@ -58,8 +59,8 @@ _log = logging.getLogger(__name__)
 
 def refusals(counts: Mapping[str, int]) -> dict[ReasonCode, int]:
     """Return how many windows a run has refused, by reason code, the most frequent first."""
-    found = {code: counts.get(f"{REFUSED}{code.value}", 0) for code in ReasonCode}
-    return dict(sorted((item for item in found.items() if item[1]), key=lambda item: (-item[1], item[0].value)))
+    refused = {code: counts.get(f"{REFUSED}{code.value}", 0) for code in ReasonCode}
+    return dict(sorted((item for item in refused.items() if item[1]), key=lambda item: (-item[1], item[0].value)))
 
 
 def refusals_text(counts: Mapping[str, int]) -> str:
@@ -88,21 +89,21 @@ def load_readings(unit: UnitOfWork, serials: Sequence[str], _: JobContext) -> Ma
     """Return the new readings of some wheelsets, or all where one is doubted or something speaks against a new one."""
     (due, doubted), mounted = unit.plausibility.due(serials), _mounted(unit, serials)
     spans = _spans(key for key in due if key[0] not in doubted)
-    around = unit.plausibility.readings_around([span for own in spans.values() for span in own])
+    around = unit.plausibility.readings_around(list(chain.from_iterable(spans.values())))
     new: Mapping[str, Sequence[MileageReading]] = {
         serial: [
-            one
-            for span in own
-            for one in around[span]
-            if span[1] <= one.start_ns <= span[2] and (serial, one.start_ns) in due
+            reading
+            for span in of_wheelset
+            for reading in around[span]
+            if span[1] <= reading.start_ns <= span[2] and (serial, reading.start_ns) in due
         ]
-        for serial, own in spans.items()
+        for serial, of_wheelset in spans.items()
     }
     if sum(map(len, new.values())) < sum(serial in spans for serial, _ in due):  # some are gone
         new = unit.plausibility.new_readings(list(spans))
-        spans = _spans((serial, one.start_ns) for serial, own in new.items() for one in own)
-        around = unit.plausibility.readings_around([span for own in spans.values() for span in own])
-    found = {}
+        spans = _spans((serial, reading.start_ns) for serial, readings in new.items() for reading in readings)
+        around = unit.plausibility.readings_around(list(chain.from_iterable(spans.values())))
+    by_wheelset = {}
     for serial in serials:
         judged, against = new.get(serial, ()), mounted.get(serial, ())
         beside = [around[span] for span in spans.get(serial, ())]
@@ -113,41 +114,41 @@ def load_readings(unit: UnitOfWork, serials: Sequence[str], _: JobContext) -> Ma
         )
         judged, against = (judged, ()) if believed else (unit.plausibility.readings(serial), against)
         seen = {key: version for key, version in due.items() if key[0] == serial}
-        found[serial] = Readings(serial, tuple(judged), against, seen)
-    return found
+        by_wheelset[serial] = Readings(serial, tuple(judged), against, seen)
+    return by_wheelset
 
 
 def judge(inputs: Readings) -> Outcome[Verdicts]:
     """Return why windows of a wheelset are not believed, None for those that are, where that is new."""
     implausible: dict[int, Reason] = dict(implausible_places(inputs.judged))
     for mounting, max_speed in inputs.mounted:
-        if within := [one for one in inputs.judged if mounting.covers(one.start_ns)]:
+        if within := [reading for reading in inputs.judged if mounting.covers(reading.start_ns)]:
             implausible.update(implausible_mileages(within, mounting, max_speed))
     verdicts = {
-        (inputs.wheelset, one.start_ns): implausible.get(one.start_ns)
-        for one in inputs.judged
-        if implausible.get(one.start_ns) != one.refused
+        (inputs.wheelset, reading.start_ns): implausible.get(reading.start_ns)
+        for reading in inputs.judged
+        if implausible.get(reading.start_ns) != reading.refused
     }
     return Outcome([Part(verdicts)])
 
 
 def store_verdicts(
-    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[Readings | None, Outcome[Verdicts]]]
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[Readings, Outcome[Verdicts]]]
 ) -> Mapping[str, int]:
     """Store which windows are believed; return how many have another verdict."""
     parts = [part for _, outcome in made.values() for part in outcome.parts]
     changed = unit.plausibility.judge({key: why for part in parts for key, why in (part.value or {}).items()})
-    read = [inputs for inputs, _ in made.values() if inputs is not None]
-    unit.due.remove_seen(DueStage.MILEAGES, {key: version for one in read for key, version in one.seen.items()})
+    seen = {key: version for inputs, _ in made.values() for key, version in inputs.seen.items()}
+    unit.due.remove_seen(DueStage.MILEAGES, seen)
     return {"mileages_judged": changed}
 
 
 def _mounted(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, tuple[Mounted, ...]]:
     mountings = unit.registry.mountings_of(serials)
-    vehicles = unit.registry.vehicles_of({one.vehicle for own in mountings.values() for one in own})
+    vehicles = unit.registry.vehicles_of({mounting.vehicle for mounting in chain.from_iterable(mountings.values())})
     return {
-        serial: tuple((mounting, vehicles[mounting.vehicle].max_speed_m_s) for mounting in own)
-        for serial, own in mountings.items()
+        serial: tuple((mounting, vehicles[mounting.vehicle].max_speed_m_s) for mounting in of_wheelset)
+        for serial, of_wheelset in mountings.items()
     }
 
 
@@ -155,11 +156,11 @@ def _spans(windows: Iterable[WindowKey]) -> Mapping[str, list[ReadingSpan]]:
     """Return first and last start of groups of windows that are apart, by wheelset; each in order of time."""
     spans: defaultdict[str, list[ReadingSpan]] = defaultdict(list)
     for serial, start_ns in windows:
-        own = spans[serial]
-        if own and start_ns - own[-1][2] <= WORK.windows_apart_ns:
-            own[-1] = (serial, own[-1][1], start_ns)
+        groups = spans[serial]
+        if groups and start_ns - groups[-1][2] <= WORK.windows_apart_ns:
+            groups[-1] = (serial, groups[-1][1], start_ns)
         else:
-            own.append((serial, start_ns, start_ns))
+            groups.append((serial, start_ns, start_ns))
     return spans
 
 
@@ -213,14 +214,10 @@ def _of_section(unit: UnitOfWork, classes: ClassLookup, code: str) -> Outdated:
     return Outdated(sorted(changed), aligned, classed)
 
 
-def let_wait(
-    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[Outdated | None, Outcome[None]]]
-) -> Mapping[str, int]:
+def let_wait(unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[Outdated, Outcome[None]]]) -> Mapping[str, int]:
     """Let windows wait again; count how many do and how many cannot, for their samples were purged."""
     counts: Counter[str] = Counter()
     for outdated, _outcome in made.values():
-        if outdated is None:
-            continue
         waiting = [WindowMark(*key, WindowState.PENDING) for key in (*outdated.changed, *outdated.aligned)]
         again = {mark.key for mark in unit.windows.mark_all(waiting)}
         counts["passed_over"] += len(set(outdated.changed) - again)
@@ -236,7 +233,7 @@ OUTDATED = Stage(
     settings=lambda settings: settings.estimation.as_json(),
     load=load_outdated,
     # what follows is that windows wait; those that do are not found again
-    compute=lambda found: Outcome(more=bool(found.changed or found.aligned or found.classed)),
+    compute=lambda outdated: Outcome(more=bool(outdated.changed or outdated.aligned or outdated.classed)),
     counted=Counted(looked="looks", changed="results", more=("requeued", "passed_over")),
     store=let_wait,
     here=True,
@@ -290,24 +287,22 @@ def _estimated(inputs: TableInputs) -> Estimated | Reason:
 def store_tables(
     unit: UnitOfWork,
     context: JobContext,
-    made: Mapping[str, tuple[TableInputs | None, Outcome[Estimated | Reason]]],
+    made: Mapping[str, tuple[TableInputs, Outcome[Estimated | Reason]]],
 ) -> Mapping[str, int]:
     """Store outcomes; windows that something has changed under since are due still: the next batch takes them."""
-    found = [
-        (inputs, part.value)
-        for inputs, outcome in made.values()
-        for part in outcome.parts
-        if inputs is not None and part.value is not None
+    outcomes = [
+        (inputs, part.value) for inputs, outcome in made.values() for part in outcome.parts if part.value is not None
     ]
-    if not found:
+    if not outcomes:
         return {}
-    now = {record.key: record for record in unit.windows.several([one.record.key for one, _ in found], held=True)}
+    records = [inputs.record for inputs, _ in outcomes]
+    now = {record.key: record for record in unit.windows.several([record.key for record in records], held=True)}
     digests = {key: record.content_digest for key, record in now.items()}
-    changed = {one.record.key for one, _ in found if digests.get(one.record.key) != one.record.content_digest}
-    if not found[0][0].facts.are_same(unit):
+    changed = {record.key for record in records if digests.get(record.key) != record.content_digest}
+    if not outcomes[0][0].facts.are_same(unit):
         batch = inputs_of_batch(unit, list(now.values()), ClassLookup(unit, context.settings.estimation))
-        changed |= {one.record.key for one, _ in found if batch.found.get(one.record.key) != one.inputs}
-    same = [(inputs, outcome) for inputs, outcome in found if inputs.record.key not in changed]
+        changed |= {inputs.record.key for inputs, _ in outcomes if batch.found.get(inputs.record.key) != inputs.inputs}
+    same = [(inputs, outcome) for inputs, outcome in outcomes if inputs.record.key not in changed]
     _store(unit, same, now)
     unit.due.list_again(DueStage.TABLES, sorted(changed))
     counts = Counter(estimated=0, refused=0, changed_meanwhile=len(changed))
@@ -320,11 +315,11 @@ def store_tables(
 
 def _store(
     unit: UnitOfWork,
-    found: Sequence[tuple[TableInputs, Estimated | Reason]],
+    outcomes: Sequence[tuple[TableInputs, Estimated | Reason]],
     standing: Mapping[WindowKey, WindowRecord],
 ) -> None:
     tables, marks, refused, rolling = [], [], {}, []
-    for inputs, outcome in found:
+    for inputs, outcome in outcomes:
         record, version = inputs.record, inputs.track.version if inputs.track is not None else None
         if isinstance(outcome, Reason):
             refusal = in_place_of_quality(outcome, record.quality)
@@ -353,7 +348,7 @@ def let_wait_again(unit: UnitOfWork, failed: Sequence[Quarantined]) -> None:
     """Let windows that failed before wait for the estimation again; where they were is looked for again, too."""
     codes = {key_of_text(item.key): item.code for item in failed}
     there = unit.windows.several(list(codes))
-    unit.windows.look_again([one.key for one in there if code_of(one.reason) is codes[one.key]])
+    unit.windows.look_again([record.key for record in there if code_of(record.reason) is codes[record.key]])
 
 
 TABLES = Stage(

@@ -42,7 +42,7 @@ WORKLIST: AnyStage = Stage(
     kind=SubjectKind.WHEELSET,
     facets=FACETS,
     settings=lambda _: FORM,
-    load=lambda *_: {},
+    load=lambda _, subjects, __: dict.fromkeys(subjects),
     compute=lambda _: Outcome(),
     counted=Counted(looked="looked_at", changed="changed"),
     store=make_all,
@@ -52,7 +52,7 @@ WORKLIST: AnyStage = Stage(
 
 
 def raise_in_fleet(
-    unit: UnitOfWork, fleet: str, found: Sequence[Transition], book: RuleBook, now_ns: int
+    unit: UnitOfWork, fleet: str, raised: Sequence[Transition], book: RuleBook, now_ns: int
 ) -> list[AlertEventKind]:
     """Store the alerts that a run has found, and bring the fleet alerts up to their members."""
     version, book = book.version, book.of(fleet, None)
@@ -63,7 +63,7 @@ def raise_in_fleet(
         for alert in stored
         if alert.wheelset is not None and alert.fleet_alert_id is None and alert.condition is not Condition.PENDING
     ]
-    joining = _joining(unit, of_fleet, [*alone, *(change.alert for change in found)], book)
+    joining = _joining(unit, of_fleet, [*alone, *(change.alert for change in raised)], book)
     fleet_alerts = dict(of_fleet)
     for kind, members in joining.items():
         if kind not in fleet_alerts:
@@ -72,7 +72,7 @@ def raise_in_fleet(
     joined = {(alert.wheelset, kind) for kind, members in joining.items() for alert in members}
     announced = [alert for alert in alone if (alert.wheelset, alert.kind) in joined]
     events: list[AlertEventKind] = []
-    for change in [*(Transition(alert, (AlertEventKind.UPDATED,)) for alert in announced), *found]:
+    for change in [*(Transition(alert, (AlertEventKind.UPDATED,)) for alert in announced), *raised]:
         alert = change.alert
         if (alert.wheelset, alert.kind) in joined:
             alert = replace(alert, fleet_alert_id=fleet_alerts[alert.kind].alert_id)
@@ -139,8 +139,8 @@ class _Raises:
 
     def in_fleet(self, fleet: str) -> list[Transition]:
         """Return what is to be raised in a fleet, in the order of the serials."""
-        found = (change for _, changes in sorted(self.by_wheelset.items()) for change in changes)
-        return [change for change in found if change.alert.fleet == fleet]
+        changes = (change for _, changes in sorted(self.by_wheelset.items()) for change in changes)
+        return [change for change in changes if change.alert.fleet == fleet]
 
 
 def load(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mapping[str, AlertInputs]:
@@ -179,7 +179,7 @@ def compute(inputs: AlertInputs) -> Outcome[Evaluated]:
 
 
 def _transitions(
-    facts: WheelsetFacts, found: Sequence[Finding], book: RuleBook, version: str, now_ns: int
+    facts: WheelsetFacts, now_found: Sequence[Finding], book: RuleBook, version: str, now_ns: int
 ) -> list[Transition]:
     still_open = {alert.kind: alert for alert in facts.open_alerts}
     changes = [
@@ -191,7 +191,7 @@ def _transitions(
             delays=book.delays_of(finding.kind),
             rules_version=version,
         )
-        for finding in found
+        for finding in now_found
     ]
     return [change for change in changes if change is not None]
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 from estimation.adhesion.creep_forces import FrictionParameters
 from estimation.adhesion.friction import section_adhesion, touched
-from estimation.alerts.life_cycle import close, section_transition
-from estimation.alerts.rules.running_gear import LowAdhesionRule, section_finding
+from estimation.alerts.rule_book import section_changes
+from estimation.alerts.rules.running_gear import LowAdhesionRule
 from estimation.dampers.damper import DamperParameters, gear_damper
 from estimation.dampers.parameters import DAMPING
 from estimation.jobs import estimate_windows, refresh_geometry
@@ -53,13 +53,10 @@ JOB_NAME = "refresh_adhesion"
 BESIDE = {"wheelsets", "looks", "results"}  # counts of stages that are no counts of the job
 
 
-def list_waiting(
-    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[bool | None, Outcome[None]]]
-) -> Mapping[str, int]:
+def list_waiting(unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[bool, Outcome[None]]]) -> Mapping[str, int]:
     """List the windows that waited for the first geometry of their wheelset."""
-    for serial, (has_geometry, _outcome) in made.items():
-        if has_geometry:
-            unit.adhesion.list_waiting(serial)
+    for serial in made:
+        unit.adhesion.list_waiting(serial)
     return {}
 
 
@@ -74,22 +71,23 @@ def load_creep(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> Ma
         if record.state is WindowState.ESTIMATED and record.wheelset in having and record.track_section is not None
         if not record.samples_purged and looked_at.get(record.key) != record.content_digest
     ]
-    found = creep_inputs(unit, chosen, context.settings.estimation) if chosen else {}
-    return {text_of_key(*key): inputs for key, inputs in found.items()}
+    creep = creep_inputs(unit, chosen, context.settings.estimation) if chosen else {}
+    return {text_of_key(*key): inputs for key, inputs in creep.items()}
 
 
 def store_creep(
-    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[CreepInputs | None, Outcome[CreepOfWindow]]]
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[CreepInputs, Outcome[CreepOfWindow]]]
 ) -> Mapping[str, int]:
     """Store what windows with the same samples still say."""
-    found = [part.value for _, outcome in made.values() for part in outcome.parts if part.value is not None]
-    if not found:
+    looked_at = [part.value for _, outcome in made.values() for part in outcome.parts if part.value is not None]
+    if not looked_at:
         return {}
-    now = {one.key: one.content_digest for one in unit.windows.several([one.creep.key for one in found])}
-    unit.adhesion.put_all([one.creep for one in found if now.get(one.creep.key) == one.creep.content_digest])
-    dampers = {(*one.damper.gear, one.damper.start_ns): one.damper for one in found if one.damper is not None}
-    unit.dampers.put_all(list(dampers.values()))
-    return {"windows": len(found), "refused": sum(one.creep.reason is not None for one in found)}
+    creeps = [window.creep for window in looked_at]
+    now = {record.key: record.content_digest for record in unit.windows.several([creep.key for creep in creeps])}
+    unit.adhesion.put_all([creep for creep in creeps if now.get(creep.key) == creep.content_digest])
+    dampers = [window.damper for window in looked_at if window.damper is not None]
+    unit.dampers.put_all(list({(*damper.gear, damper.start_ns): damper for damper in dampers}.values()))
+    return {"windows": len(looked_at), "refused": sum(window.creep.reason is not None for window in looked_at)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,21 +105,21 @@ def load_dampers(unit: UnitOfWork, vehicles: Sequence[str], _: JobContext) -> Ma
         newest = tuple(unit.dampers.newest(vehicle, first_axle, JOBS.most_gear_windows))
         if newest:
             gears.setdefault(vehicle, []).append(newest)
-    return {vehicle: VehicleDampers(tuple(own), DamperParameters()) for vehicle, own in gears.items()}
+    return {vehicle: VehicleDampers(tuple(windows), DamperParameters()) for vehicle, windows in gears.items()}
 
 
 def judge_dampers(inputs: VehicleDampers) -> Outcome[GearDamper]:
     """Return the dampers of the running gears of a vehicle."""
-    found = [gear_damper(windows, inputs.parameters) for windows in inputs.gears]
-    return Outcome([Part(one, part=part_of_gear(one.first_axle)) for one in found])
+    dampers = [gear_damper(windows, inputs.parameters) for windows in inputs.gears]
+    return Outcome([Part(damper, part=part_of_gear(damper.first_axle)) for damper in dampers])
 
 
 def forget_windows(
-    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[VehicleDampers | None, Outcome[GearDamper]]]
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[VehicleDampers, Outcome[GearDamper]]]
 ) -> Mapping[str, int]:
     """Forget what windows say that do not count any more."""
     for inputs, _outcome in made.values():
-        for windows in () if inputs is None else inputs.gears:
+        for windows in inputs.gears:
             if len(windows) == JOBS.most_gear_windows:
                 unit.dampers.forget(*windows[-1].gear, windows[-1].start_ns)
     return {}
@@ -151,7 +149,7 @@ class FrictionInputs:
 def load_friction(unit: UnitOfWork, sections: Sequence[str], context: JobContext) -> Mapping[str, FrictionInputs]:
     """Return the passes of some sections that are to be pooled: around new ones, or all where limits are others."""
     rule, made_with = context.settings.rules.rule(LowAdhesionRule), unit.adhesion.made_with(sections)
-    lengths = {one.code: one.length_m for one in unit.tracks.sections()}
+    lengths = {section.code: section.length_m for section in unit.tracks.sections()}
     return {
         section: _of_section(unit, section, lengths.get(section, 0.0), rule, made_with.get(section))
         for section in sections
@@ -191,18 +189,17 @@ def _span(unit: UnitOfWork, section: str, to_ns: int, rule: LowAdhesionRule) -> 
 
 def find_friction(inputs: FrictionInputs) -> Outcome[SectionAdhesion]:
     """Return the friction of a section over each of some spans."""
-    found = (section_adhesion(inputs.section, span.passes, span.parameters, inputs.length_m) for span in inputs.spans)
-    return Outcome([Part(one) for one in found], again_ns=None if inputs.older_ns is None else 0)
+    section, length = inputs.section, inputs.length_m
+    parts = [Part(section_adhesion(section, span.passes, span.parameters, length)) for span in inputs.spans]
+    return Outcome(parts, again_ns=None if inputs.older_ns is None else 0)
 
 
 def store_friction(
-    unit: UnitOfWork, context: JobContext, made: Mapping[str, tuple[FrictionInputs | None, Outcome[SectionAdhesion]]]
+    unit: UnitOfWork, context: JobContext, made: Mapping[str, tuple[FrictionInputs, Outcome[SectionAdhesion]]]
 ) -> Mapping[str, int]:
     """Store the friction of sections, their alerts, and what follows for their windows."""
     counts: Counter[str] = Counter()
     for inputs, outcome in made.values():
-        if inputs is None:
-            continue
         for span, part in zip(inputs.spans, outcome.parts, strict=True):
             if part.value is not None:
                 counts.update(_store_span(unit, context, span, part.value, inputs.made_with))
@@ -213,50 +210,35 @@ def store_friction(
 
 
 def _store_span(
-    unit: UnitOfWork, context: JobContext, span: Span, found: SectionAdhesion, made_with: str
+    unit: UnitOfWork, context: JobContext, span: Span, friction: SectionAdhesion, made_with: str
 ) -> Mapping[str, int]:
-    section, rule = found.track_section, context.settings.rules.rule(LowAdhesionRule)
+    section, rule = friction.track_section, context.settings.rules.rule(LowAdhesionRule)
     last, starts = unit.adhesion.section(section), [window_pass.start_ns for window_pass in span.passes]
     before = certain_stretches(unit, section, starts)
-    if not unit.adhesion.put_section(found, context.code_version, made_with):
+    if not unit.adhesion.put_section(friction, context.code_version, made_with):
         return {}
     after = certain_stretches(unit, section, starts)
     again = [p for p in span.passes if touched(p, before[p.start_ns]) != touched(p, after[p.start_ns])]
-    records = unit.windows.several([one.key for one in again]) if again else ()
+    records = unit.windows.several([p.key for p in again]) if again else ()
     standing = {r.key for r in records if not r.samples_purged and r.state is not WindowState.PENDING}
-    marks = [WindowMark(*one.key, WindowState.PENDING) for one in again if one.key in standing]
+    marks = [WindowMark(*p.key, WindowState.PENDING) for p in again if p.key in standing]
     unit.windows.mark_all(marks)
-    if last is None or found.to_ns >= last.to_ns:
-        _alert(unit, context, rule, found, span.fleets)
-        unit.adhesion.forget_sums(section, found.to_ns - WORK.sums_kept_ns)
-    return {"sections": 1, "low": bool(found.low_stretches), "estimated_again": len(marks)}
+    if last is None or friction.to_ns >= last.to_ns:
+        _alert(unit, context, rule, friction, span.fleets)
+        unit.adhesion.forget_sums(section, friction.to_ns - WORK.sums_kept_ns)
+    return {"sections": 1, "low": bool(friction.low_stretches), "estimated_again": len(marks)}
 
 
 def _alert(
-    unit: UnitOfWork, context: JobContext, rule: LowAdhesionRule, found: SectionAdhesion, fleets: Sequence[str]
+    unit: UnitOfWork, context: JobContext, rule: LowAdhesionRule, friction: SectionAdhesion, fleets: Sequence[str]
 ) -> None:
     """Raise, update and clear the alerts of a section, one for each fleet that passed it."""
-    section, now_ns = found.track_section, context.clock.now_ns()
-    standing = {alert.fleet: alert for alert in unit.alerts.open_of_section(section, rule.kind)}
-    finding = section_finding(rule, found)
-    for fleet in sorted({*fleets, *standing}):
-        own = context.settings.rules.of(fleet, None).rule(LowAdhesionRule)
-        if not own.enabled:
-            if fleet in standing:
-                ended = close(standing[fleet], CloseReason.RULE_DISABLED, found.to_ns)
-                unit.alerts.save(ended.alert, ended.events, now_ns, note=CloseReason.RULE_DISABLED.sentence)
-            continue
-        change = section_transition(
-            standing.get(fleet),
-            finding,
-            now_ns,
-            fleet=fleet,
-            track_section=section,
-            delays=own.delays,
-            rules_version=context.settings.rules.version,
-        )
-        if change is not None:
-            unit.alerts.save(change.alert, change.events, now_ns)
+    now_ns = context.clock.now_ns()
+    standing = {alert.fleet: alert for alert in unit.alerts.open_of_section(friction.track_section, rule.kind)}
+    for change in section_changes(context.settings.rules, friction, fleets, standing, now_ns):
+        ended = change.alert.close_reason is CloseReason.RULE_DISABLED
+        note = CloseReason.RULE_DISABLED.sentence if ended else ""
+        unit.alerts.save(change.alert, change.events, now_ns, note=note)
 
 
 FIRST = Stage(

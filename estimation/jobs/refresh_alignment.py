@@ -117,24 +117,24 @@ def _inputs(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext) 
     listed_ns = changed_from(unit, lookup, code) if stored else None
     starts = (listed_ns, *on_file.changed.values())
     changed_ns = min((start_ns for start_ns in starts if start_ns is not None), default=None)
-    found = EpochSearch(unit, context, section, lookup, stored, changed_ns).found()
-    due = found.due
-    own = {member.record.key for kept in found.kept for member in kept.own}
-    own |= {member.record.key for member in due.own} if due is not None else set()
-    until_ns = max((start_ns for _, start_ns in own), default=0)
-    last = found.last and all(key in own for key in on_file.changed)
-    at_rest = last or (due is None and not found.later)
+    search = EpochSearch(unit, context, section, lookup, stored, changed_ns).found()
+    due = search.due
+    held = {member.record.key for kept in search.kept for member in kept.own}
+    held |= {member.record.key for member in due.own} if due is not None else set()
+    until_ns = max((start_ns for _, start_ns in held), default=0)
+    last = search.last and all(key in held for key in on_file.changed)
+    at_rest = last or (due is None and not search.later)
     seen = unit.due.of_section(DueStage.ALIGNMENT, code, None if at_rest else until_ns)
     return FoldInputs(
         section=code,
         versions=_versions(unit, code, context),
         number=None if due is None else due.number,
         digest="" if due is None else due.digest,
-        later=found.later,
+        later=search.later,
         last=last,
-        seen={key: version for key, version in seen.items() if at_rest or key in own},
+        seen={key: version for key, version in seen.items() if at_rest or key in held},
         on_file=on_file,
-        found=found,
+        found=search,
         known=_known(unit, due, lookup.classes, settings) if due is not None and due.own else None,
         context=context,
     )
@@ -171,7 +171,7 @@ def _known(unit: UnitOfWork, due: Due, classes: ClassLookup, settings: Alignment
         base=alignment if since == version or since is None else unit.tracks.alignment(code, since),
         classes=classes_of(classes, records),
         on_file=RunsOnFile(
-            {key: classes.assumed(*key) for key in dict.fromkeys((one.vehicle, one.wheelset) for one in records)},
+            {key: classes.assumed(*key) for key in dict.fromkeys((r.vehicle, r.wheelset) for r in records)},
             {code: unit.registry.mountings_on(code, 0, LATEST_NS) for code in {record.vehicle for record in records}},
             unit.tracks.layout(code),
         ),
@@ -181,27 +181,27 @@ def _known(unit: UnitOfWork, due: Due, classes: ClassLookup, settings: Alignment
 
 def compute(inputs: FoldInputs) -> Outcome[Computed]:
     """Return the epoch that is due, as it is now; the next one comes when that is stored."""
-    due, known = inputs.found.due, inputs.known
+    due, solved_with = inputs.found.due, inputs.known
     if inputs.later:
         return Outcome(again_ns=0, counted="unchanged")
-    if due is None or known is None:
+    if due is None or solved_with is None:
         return Outcome(more=inputs.writes)
     settings = inputs.context.settings.alignment
-    (chosen, of_chosen), *rest = known.chosen
-    alignment = known.alignment
+    (chosen, of_chosen), *rest = solved_with.chosen
+    alignment = solved_with.alignment
     solved = _solve(inputs, chosen, of_chosen, alignment, checked=survey_checked(due.before.survey))
     parts, alone = [solved], dict[Journey, Correction]()
-    if alignment is not None and is_hardly_another(known.base, solved.update, settings):
+    if alignment is not None and is_hardly_another(solved_with.base, solved.update, settings):
         grouped = solved.update.estimate.grouped
         alone = place_alone(due.section, grouped, alignment, settings.section, of_chosen.curves)
     if not solved.update.outcome.windows_wait:
         parts += [_solve(inputs, *part, solved.update.alignment, checked=True) for part in rest]
-    made = Part(Computed(due, alignment, parts, known.classes, of_chosen.notes, alone))
+    made = Part(Computed(due, alignment, parts, solved_with.classes, of_chosen.notes, alone))
     return Outcome([made], more=not inputs.last, counted="epochs")
 
 
 def _solve(
-    inputs: FoldInputs, chosen: Sequence[Entry], known: Measured, alignment: TrackAlignment | None, *, checked: bool
+    inputs: FoldInputs, chosen: Sequence[Entry], lives: Measured, alignment: TrackAlignment | None, *, checked: bool
 ) -> Solved:
     assert inputs.found.due is not None
     assert inputs.known is not None
@@ -212,43 +212,42 @@ def _solve(
         alignment,
         inputs.context.settings.alignment,
         survey_checked=checked,
-        measured=known.curves,
+        measured=lives.curves,
     )
     return Solved([record for record, _ in chosen], made, update)
 
 
 def store(
-    unit: UnitOfWork, context: JobContext, made: Mapping[str, tuple[FoldInputs | None, Outcome[Computed]]]
+    unit: UnitOfWork, context: JobContext, made: Mapping[str, tuple[FoldInputs, Outcome[Computed]]]
 ) -> Mapping[str, int]:
     """Store what was computed of sections, and what was seen of their windows."""
     counts: Counter[str] = Counter()
     for inputs, outcome in made.values():
-        if inputs is not None:
-            _store(unit, context, inputs, outcome, counts)
+        _store(unit, context, inputs, outcome, counts)
     return counts
 
 
 def _store(
     unit: UnitOfWork, context: JobContext, inputs: FoldInputs, outcome: Outcome[Computed], counts: Counter[str]
 ) -> None:
-    found, code, on_file = inputs.found, inputs.section, inputs.on_file
+    search, code, on_file = inputs.found, inputs.section, inputs.on_file
     standing = _check_unchanged(unit, context, inputs)
-    own = {member.record.key for kept in found.kept for member in kept.own}
-    for kept in found.kept:
+    held = {member.record.key for kept in search.kept for member in kept.own}
+    for kept in search.kept:
         unit.epochs.put(kept.epoch, kept.own)
-    if found.due is not None:
-        own |= {member.record.key for member in found.due.own}
+    if search.due is not None:
+        held |= {member.record.key for member in search.due.own}
         if inputs.known is None:
-            cut(unit, found.due, context)
+            cut(unit, search.due, context)
     for part in outcome.parts:
         assert part.value is not None
         store_epoch(unit, part.value, context, standing)
-        passes = sum(len(one.passes.found) for one in part.value.parts)
+        passes = sum(len(solved.passes.found) for solved in part.value.parts)
         counts.update({_COUNTED[part.value.update.outcome]: 1, "windows": len(part.value.due.own), "passes": passes})
         counts["epochs"] += outcome.more  # the last one is counted with the section
     unit.due.remove_seen(DueStage.ALIGNMENT, inputs.seen)
     if on_file.seen is not None:
-        unit.epochs.list_again(code, [key for key in on_file.changed if key not in own])
+        unit.epochs.list_again(code, [key for key in on_file.changed if key not in held])
         for vehicle, wheelset, digest in on_file.unaffected:
             unit.epochs.note_context(code, vehicle, wheelset, digest)
         unit.marks.note(_files(context), {code: Mark(on_file.seen.seen, "")})
@@ -263,16 +262,16 @@ def _check_unchanged(unit: UnitOfWork, context: JobContext, inputs: FoldInputs) 
     Raises:
         ConflictError: Something has changed since it was read.
     """
-    found, code = inputs.found, inputs.section
-    own = [member.record for kept in found.kept for member in kept.own]
-    own += [record for record, _ in found.due.entries] if found.due is not None else []
-    now = {record.key: record for record in unit.windows.several([record.key for record in own], held=True)}
+    search, code = inputs.found, inputs.section
+    held = [member.record for kept in search.kept for member in kept.own]
+    held += [record for record, _ in search.due.entries] if search.due is not None else []
+    now = {record.key: record for record in unit.windows.several([record.key for record in held], held=True)}
     # as far as an epoch holds them
-    same = all(record.key in now and _HELD(record) == _HELD(now[record.key]) for record in own)
-    if same and (found.kept or found.due) and _versions(unit, code, context) != inputs.versions:
-        due, known = found.due, inputs.known
-        other = due is not None and known is not None and rests_on_other(unit, due, known.classes, context)
-        same = unit.epochs.list(code) == found.stored and not other
+    same = all(record.key in now and _HELD(record) == _HELD(now[record.key]) for record in held)
+    if same and (search.kept or search.due) and _versions(unit, code, context) != inputs.versions:
+        due, solved_with = search.due, inputs.known
+        other = due is not None and solved_with is not None and rests_on_other(unit, due, solved_with.classes, context)
+        same = unit.epochs.list(code) == search.stored and not other
     if not same:
         raise ConflictError("windows, epochs or what they rest on have changed", kind="track section", key=code)
     return now

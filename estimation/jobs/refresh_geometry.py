@@ -270,7 +270,7 @@ class RolledGeometries:
 
     def _earlier(self, parts: Sequence[Part]) -> BinTable:
         """Return the sum of the earlier intervals with forgetting, weighted as at the end of the last of them."""
-        text = "".join(f"{one.roll_up.key} {one.roll_up.windows} {one.roll_up.content}\n" for one in parts)
+        text = "".join(f"{part.roll_up.key} {part.roll_up.windows} {part.roll_up.content}\n" for part in parts)
         digest = hashlib.sha256(f"{self.rules.digest}\n{text}".encode()).hexdigest()
         earlier_sum = self.unit.roll_ups.earlier(self.rules.wheelset, digest)
         if earlier_sum is None:
@@ -350,27 +350,27 @@ def compute(inputs: GeometryInputs) -> Outcome[WheelsetGeometry]:
 
 
 def store(
-    unit: UnitOfWork, context: JobContext, made: Mapping[str, tuple[GeometryInputs | None, Outcome[WheelsetGeometry]]]
+    unit: UnitOfWork, context: JobContext, made: Mapping[str, tuple[GeometryInputs, Outcome[WheelsetGeometry]]]
 ) -> Mapping[str, int]:
     """Store roll-ups with their state and the bins of current geometries, and drop what is no longer needed."""
-    inputs = {serial: one for serial, (one, _) in made.items() if one is not None}
-    whole = {serial: one for serial, one in inputs.items() if one.whole}
+    inputs = {serial: loaded for serial, (loaded, _) in made.items()}
+    whole = {serial: loaded for serial, loaded in inputs.items() if loaded.whole}
     being_made = {serial: _BEING_MADE for serial in inputs if serial not in whole}
-    due = {serial: one.rolled.rolled for serial, one in whole.items() if one.rolled.rolled.due}
-    unit.geometries.show_bins([serial for serial, one in whole.items() if any(r.interval is None for r in one.records)])
-    parts = {serial: one.parts for serial, one in inputs.items() if serial in due or serial in being_made}
+    due = {serial: loaded.rolled.rolled for serial, loaded in whole.items() if loaded.rolled.rolled.due}
+    unit.geometries.show_bins([key for key, loaded in whole.items() if any(r.interval is None for r in loaded.records)])
+    parts = {serial: loaded.parts for serial, loaded in inputs.items() if serial in due or serial in being_made}
     unit.roll_ups.put(parts, context.clock.now_ns())
-    unit.tables.note_running({serial: one.mileages for serial, one in due.items()})
-    looked_at = {(serial, at_ns): version for serial, one in due.items() for at_ns, version in one.looked_at.items()}
+    unit.tables.note_running({serial: loaded.mileages for serial, loaded in due.items()})
+    looked_at = {(key, at_ns): version for key, loaded in due.items() for at_ns, version in loaded.looked_at.items()}
     unit.due.remove_seen(DueStage.SUMS, looked_at)
-    earlier = {serial: one.rolled.earlier for serial, one in whole.items() if one.rolled.earlier is not None}
-    unit.roll_ups.put_states(being_made | {serial: one.state for serial, one in due.items()}, earlier)
-    for serial, one in due.items():
-        unit.roll_ups.drop(serial, one.dropped)
+    earlier = {serial: loaded.rolled.earlier for serial, loaded in whole.items() if loaded.rolled.earlier is not None}
+    unit.roll_ups.put_states(being_made | {serial: loaded.state for serial, loaded in due.items()}, earlier)
+    for serial, loaded in due.items():
+        unit.roll_ups.drop(serial, loaded.dropped)
         unit.roll_ups.forget(serial, whole[serial].rolled.forgotten())
-    unit.roll_ups.put_rolling([sums for one in whole.values() for sums in one.rolled.radius.fresh.values()])
+    unit.roll_ups.put_rolling([sums for loaded in whole.values() for sums in loaded.rolled.radius.fresh.values()])
     unit.roll_ups.keep_rolling(
-        {serial: [at for part in one.parts for _, at in part.roll_up.chosen] for serial, one in due.items()}
+        {serial: [at for part in loaded.parts for _, at in part.roll_up.chosen] for serial, loaded in due.items()}
     )
     return {}
 

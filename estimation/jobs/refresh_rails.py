@@ -85,7 +85,7 @@ class AnchorInputs:
     @property
     def text(self) -> str:
         """All of it."""
-        of_sections = [(section.code, _rails_of(section), section.tonnage_mgt_per_year) for section in self.sections]
+        of_sections = [(section.code, RailShare.of(section), section.tonnage_mgt_per_year) for section in self.sections]
         named = (sorted(self.known), sorted((code, why.code) for code, why in self.other.items()), self.missing)
         rest = (named, self.rails, self.profile, self.nominal_radius, self.measured)
         return f"{of_sections!r} {rest!r}"
@@ -101,22 +101,22 @@ def anchor_inputs(unit: UnitOfWork, cells: Sequence[StoredCell], context: JobCon
     for cell in cells:
         windows[cell.rail.section] += 0 if cell.usable is None else cell.usable.windows
     on_file, codes = unit.tracks.sections(), {entry.code for entry in context.settings.rails.known_sections}
-    sections = tuple(one for one in on_file if one.code in windows)
+    sections = tuple(section for section in on_file if section.code in windows)
     named = {section.code: _at_gauge(unit, section) for section in sections if section.code in codes}
-    rails = _most(named or {section.code: _rails_of(section) for section in sections}, windows)
-    alike = {code for code, own in named.items() if rails is not None and _alike(own, rails)}
+    rails = _most(named or {section.code: RailShare.of(section) for section in sections}, windows)
+    alike = {code for code, its_rails in named.items() if rails is not None and _alike(its_rails, rails)}
     keys = sorted({cell.rail for cell in cells if cell.usable is not None and cell.rail.section in alike})
-    known = frozenset(key for key in keys if _is_of_time(key, context.settings.rails))
+    as_on_file = frozenset(key for key in keys if _is_of_time(key, context.settings.rails))
     newest = {key.section: key for key in keys}
     other = dict.fromkeys(sorted(named.keys() - alike), OTHER_RAILS)
-    other |= {code: OTHER_TIME for code, key in newest.items() if key not in known}
+    other |= {code: OTHER_TIME for code, key in newest.items() if key not in as_on_file}
     serials = {cell.wheel.wheelset for cell in cells}
     wheelsets = [wheelset for wheelset in unit.registry.wheelsets() if wheelset.serial in serials]
     profiles = Counter((wheelset.wheel_profile, wheelset.nominal_radius_m) for wheelset in wheelsets)
-    profile, radius = min(profiles, key=lambda one: (-profiles[one], one), default=("", 0.0))
-    missing = tuple(sorted(codes - {one.code for one in on_file}))
+    profile, radius = min(profiles, key=lambda profile: (-profiles[profile], profile), default=("", 0.0))
+    missing = tuple(sorted(codes - {section.code for section in on_file}))
     measured = _measured_wheels(unit, wheelsets, cells, context.settings.estimation.interval_km)
-    return AnchorInputs(sections, known, rails, profile, radius, measured, other, missing)
+    return AnchorInputs(sections, as_on_file, rails, profile, radius, measured, other, missing)
 
 
 def anchors(inputs: AnchorInputs, amplitude: FloatArray) -> Anchors:
@@ -125,19 +125,19 @@ def anchors(inputs: AnchorInputs, amplitude: FloatArray) -> Anchors:
     wheel = designed_wheel(inputs.profile, inputs.nominal_radius)
     if inputs.rails is None:
         return Anchors(ReferenceWheel(inputs.profile, nothing))
-    rails = {section.code: _rails_of(section) for section in inputs.sections}
+    rails = {section.code: RailShare.of(section) for section in inputs.sections}
     of_rails = {
         rail: nothing if wheel is None else conicity_on_rails(wheel, rail, amplitude)[0]
         for rail in {inputs.rails, *rails.values()}
     }
-    on_file = {code: of_rails[one] for code, one in rails.items()}
+    on_file = {code: of_rails[its_rails] for code, its_rails in rails.items()}
     # the newest measurement of an interval counts
-    newest = {one.key: one.wheels for one in sorted(inputs.measured, key=lambda one: one.at_ns)}
+    newest = {wheel.key: wheel.wheels for wheel in sorted(inputs.measured, key=lambda wheel: wheel.at_ns)}
     return Anchors(
         ReferenceWheel(inputs.profile, of_rails[inputs.rails], on_file),
         inputs.known,
-        tuple(KnownWheel(key, *conicity_on_rails(own, inputs.rails, amplitude)) for key, own in newest.items()),
-        tonnage={one.code: one.tonnage_mgt_per_year for one in inputs.sections if one.tonnage_mgt_per_year},
+        tuple(KnownWheel(key, *conicity_on_rails(wheels, inputs.rails, amplitude)) for key, wheels in newest.items()),
+        tonnage={s.code: s.tonnage_mgt_per_year for s in inputs.sections if s.tonnage_mgt_per_year},
         refused=inputs.other,
         missing=inputs.missing,
     )
@@ -151,27 +151,27 @@ def _measured_wheels(
     for cell in cells:
         if cell.usable is not None:
             seen[cell.wheel] = min(cell.usable.from_ns, seen.get(cell.wheel, cell.usable.from_ns))
-    found = []
+    wheels_measured = []
     of_profiles = unit.registry.measured_wheelsets()
-    for wheelset in (one for one in wheelsets if one.serial in of_profiles):
+    for wheelset in (wheelset for wheelset in wheelsets if wheelset.serial in of_profiles):
         try:
             measured = unit.registry.measured_profiles(wheelset.serial)
         except DamagedError:
             continue
         change = last_break(unit, wheelset)
-        for one in measured:
-            baseline, begin_km = baseline_at(wheelset, one.at_ns)
-            key = WheelKey(wheelset.serial, baseline, int((one.mileage_km - begin_km) // interval_km))
-            if key in seen and on_one_side(change, one.at_ns, seen[key]):
-                wheels = WheelPair(one.left, one.right, wheelset.nominal_radius_m, one.std)
-                found.append(MeasuredWheel(key, one.at_ns, _profiles_digest(one), wheels))
-    return tuple(sorted(found))
+        for profiles in measured:
+            baseline, begin_km = baseline_at(wheelset, profiles.at_ns)
+            key = WheelKey(wheelset.serial, baseline, int((profiles.mileage_km - begin_km) // interval_km))
+            if key in seen and on_one_side(change, profiles.at_ns, seen[key]):
+                wheels = WheelPair(profiles.left, profiles.right, wheelset.nominal_radius_m, profiles.std)
+                wheels_measured.append(MeasuredWheel(key, profiles.at_ns, _profiles_digest(profiles), wheels))
+    return tuple(sorted(wheels_measured))
 
 
-def _profiles_digest(one: MeasuredProfiles) -> str:
+def _profiles_digest(measured: MeasuredProfiles) -> str:
     """Return the digest of what was measured, for it may be corrected."""
-    text = hashlib.sha256(repr((one.mileage_km, one.std)).encode())
-    for profile in (one.left, one.right):
+    text = hashlib.sha256(repr((measured.mileage_km, measured.std)).encode())
+    for profile in (measured.left, measured.right):
         for values in (profile.y, profile.z, profile.slope):
             text.update(values.tobytes())
     return text.hexdigest()
@@ -184,27 +184,24 @@ def _is_of_time(key: RailKey, settings: RailsSettings) -> bool:
     return any(day // model.period_days <= key.period <= (day + model.known_days) // model.period_days for day in days)
 
 
-def _rails_of(section: TrackSectionRecord) -> RailShare:
-    return RailShare(section.rail_profile, section.rail_inclination, section.nominal_gauge_m, 1.0)
-
-
 def _at_gauge(unit: UnitOfWork, section: TrackSectionRecord) -> RailShare:
     """Return the rails of a section at their mean gauge, as far as that is on file."""
-    rails, track = _rails_of(section), unit.tracks.alignment(section.code, None)
+    rails, track = RailShare.of(section), unit.tracks.alignment(section.code, None)
     if track is None or not track.gauge_known:
         return rails
     return replace(rails, gauge=round(rails.gauge + float(np.mean(track.gauge_deviation)), JOBS.gauge_digits))
 
 
-def _alike(one: RailShare, other: RailShare) -> bool:
-    same = (one.rail, one.inclination) == (other.rail, other.inclination)
-    return same and abs(one.gauge - other.gauge) <= JOBS.gauge_tolerance
+def _alike(rails: RailShare, other: RailShare) -> bool:
+    same = (rails.rail, rails.inclination) == (other.rail, other.inclination)
+    return same and abs(rails.gauge - other.gauge) <= JOBS.gauge_tolerance
 
 
 def _most(sections: Mapping[str, RailShare], windows: Counter[str]) -> RailShare | None:
     """Return the rails that most windows ran on, those alike counted together."""
     count = {
-        rails: sum(windows[code] for code, own in sections.items() if _alike(own, rails)) for rails in sections.values()
+        rails: sum(windows[code] for code, its_rails in sections.items() if _alike(its_rails, rails))
+        for rails in sections.values()
     }
     return min(count, key=lambda rails: (-count[rails], repr(rails)), default=None)
 
@@ -214,7 +211,7 @@ _log = logging.getLogger(__name__)
 
 def make_cells(inputs: WheelsetCells) -> Outcome[StoredCell]:
     """Return the cells of a wheelset that are others by now."""
-    return Outcome([Part(one.made()) for one in inputs.to_make])
+    return Outcome([Part(cell.made()) for cell in inputs.to_make])
 
 
 def store_cells(
@@ -222,9 +219,9 @@ def store_cells(
 ) -> Mapping[str, int]:
     """Store cells in place of what was of their keys; return how many are others, or gone."""
     changed = [part.value for _, outcome in made.values() for part in outcome.parts if part.value is not None]
-    changed += [one for inputs, _ in made.values() for one in inputs.moved]
+    changed += [cell for inputs, _ in made.values() for cell in inputs.moved]
     gone = [key for inputs, _ in made.values() for key in inputs.gone]
-    unit.rails.put_cells([*changed, *(one for inputs, _ in made.values() for one in inputs.kept)])
+    unit.rails.put_cells([*changed, *(cell for inputs, _ in made.values() for cell in inputs.kept)])
     unit.rails.drop_cells(gone)
     return {"cells": len(changed) + len(gone)}
 
@@ -281,7 +278,7 @@ def part_rails(inputs: RailsInputs) -> Outcome[RailsFindings]:
     amplitude, refused_wheels = tuple(apart.amplitude.tolist()), apart.refused_wheels
     findings = RailsFindings(
         sections=_sections(apart, held.wheel.profile, inputs.parameters),
-        wheelsets={serial: WheelsFinding(amplitude, one, refused_wheels.get(serial)) for serial, one in newest.items()},
+        wheelsets={serial: WheelsFinding(amplitude, w, refused_wheels.get(serial)) for serial, w in newest.items()},
         refused=dict.fromkeys(held.missing, "not on file") | {code: str(why) for code, why in apart.refused.items()},
         refused_wheels={serial: str(why) for serial, why in refused_wheels.items()},
     )
@@ -320,7 +317,7 @@ def store_rails(
     assert part.value is not None
     for kind, findings in ((SECTION_RAILS, part.value.sections), (WHEELSET_RAILS, part.value.wheelsets)):
         common = (inputs.digest, context.code_version, context.clock.now_ns())
-        unit.results.replace_all(kind, [Result(subject, *common, one) for subject, one in findings.items()])
+        unit.results.replace_all(kind, [Result(subject, *common, finding) for subject, finding in findings.items()])
     if inputs.damaged:
         unit.marks.forget(CELLS, inputs.damaged)
     for code, why in sorted(part.value.refused.items()):

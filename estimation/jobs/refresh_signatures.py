@@ -11,6 +11,7 @@ import hashlib
 from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 
 from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
@@ -59,14 +60,14 @@ def load_library(unit: UnitOfWork, _: Sequence[str], context: JobContext) -> Map
     classes = ClassLookup(unit, context.settings.estimation)
     reader = EntryReader(unit, classes, context.settings.signatures)
     stored = unit.signatures.known()
-    known, without = usable(unit, context, stored.known)
+    signatures, without = usable(unit, context, stored.known)
     answered = unit.results.made_from(ANSWERS)
-    reader.read_ahead(known, answered)
-    made = reader.entries(known)
-    subjects = _subjects(reader, known, answered, context.settings.signatures.most_mileage_km)
+    reader.read_ahead(signatures, answered)
+    made = reader.entries(signatures)
+    subjects = _subjects(reader, signatures, answered, context.settings.signatures.most_mileage_km)
     geometries, failed = {}, dict[tuple[SubjectKind, str], Exception]()
-    for serial, one in subjects.items():
-        geometry = _geometry(unit, serial, one.baseline)
+    for serial, subject in subjects.items():
+        geometry = _geometry(unit, serial, subject.baseline)
         if isinstance(geometry, DamagedError):
             failed[SubjectKind.WHEELSET, serial] = geometry
         else:
@@ -107,11 +108,11 @@ def store_answers(
     """Let signatures that cannot be read be made again; return what was counted of the answers."""
     library, outcome = made[EVERYTHING]
     unit.signatures.drop(library.damaged)
-    found = [part.value for part in outcome.parts if part.value is not None]
-    disagreements = (one.disagreement for one in found)
+    findings = [part.value for part in outcome.parts if part.value is not None]
+    disagreements = (finding.disagreement for finding in findings)
     return {
         "retired": library.shelf.retired,
-        "estimated": sum(one.answer.conicity.value is not None for one in found),
+        "estimated": sum(finding.answer.conicity.value is not None for finding in findings),
         "disagreeing": sum(disagreement is not None and disagreement.disagrees for disagreement in disagreements),
     }
 
@@ -150,10 +151,10 @@ def _shelved(made: Entries, without: Mapping[ReasonCode, int], parameters: Signa
         by_kind[entry.signature.vehicle_class, entry.signature.position].append(entry)
     entries, changes, retired = {}, {}, 0
     for kind, members in by_kind.items():
-        found = current(members, parameters)
-        entries[kind] = found.entries
-        changes.update({(kind, change.place): change for change in found.changes})
-        retired += len(found.retired)
+        on_track = current(members, parameters)
+        entries[kind] = on_track.entries
+        changes.update({(kind, change.place): change for change in on_track.changes})
+        retired += len(on_track.retired)
     libraries = Libraries([entry for kept in entries.values() for entry in kept], parameters)
     left_out = Counter(made.left_out) + Counter(without)
     if retired:
@@ -162,48 +163,46 @@ def _shelved(made: Entries, without: Mapping[ReasonCode, int], parameters: Signa
 
 
 def _line(entry: LibraryEntry) -> str:
-    one = entry.signature
-    spectra = hashlib.sha256(one.spectra.tobytes()).hexdigest()
-    about = (one.wheelset, one.start_ns, one.order, one.vehicle_class, one.position, one.place, one.speed)
-    known = (entry.baseline, entry.conicity, entry.std, entry.source, entry.shares_data, entry.pair)
-    return repr((about, known, spectra))
+    spectra = hashlib.sha256(entry.signature.spectra.tobytes()).hexdigest()
+    about = attrgetter("wheelset", "start_ns", "order", "vehicle_class", "position", "place", "speed")(entry.signature)
+    label = (entry.baseline, entry.conicity, entry.std, entry.source, entry.shares_data, entry.pair)
+    return repr((about, label, spectra))
 
 
 def _subjects(
-    reader: EntryReader, known: Sequence[KnownSignatures], answered: Collection[str], most_km: float
+    reader: EntryReader, signatures: Sequence[KnownSignatures], answered: Collection[str], most_km: float
 ) -> dict[str, _Subject]:
     """Return who is judged, by serial: every wheelset that has signatures, or had some when it was judged last.
 
     By signatures of the wheelset that it is now: of none from before its identity has changed.
     """
     of_wheelset: dict[str, list[KnownSignatures]] = {serial: [] for serial in answered}
-    for one in known:
-        of_wheelset.setdefault(one.found.wheelset, []).append(one)
-    found, doubted = {}, with_identity_alerts(reader.unit)
+    for window in signatures:
+        of_wheelset.setdefault(window.found.wheelset, []).append(window)
+    subjects, doubted = {}, with_identity_alerts(reader.unit)
     for serial, mine in sorted(of_wheelset.items()):
         last = reader.lives(serial)[-1]
         change = identity_change(reader.unit, serial) if serial in doubted else None
         begin_ns = last.from_ns if change is None else max(last.from_ns, change.after_ns)
-        now = [one for one in mine if one.found.start_ns >= begin_ns]
-        newest = now[-1] if now else None
-        near = [one for one in now if newest and newest.mileage_km - one.mileage_km <= most_km][-JOBS.judged_windows :]
+        now = [window for window in mine if window.found.start_ns >= begin_ns]
+        near = [window for window in now if now[-1].mileage_km - window.mileage_km <= most_km][-JOBS.judged_windows :]
         kind = _kind(near[-1]) if near else None
         pair = reader.pair(mine[-1]) if mine else NO_PAIR
-        chosen = [one for one in near if _kind(one) == kind and reader.pair(one) == pair]
-        found[serial] = _Subject(
+        chosen = [window for window in near if _kind(window) == kind and reader.pair(window) == pair]
+        subjects[serial] = _Subject(
             wheelset=serial,
             baseline=last.number,
             pair=pair,
             kind=kind,
-            signatures=tuple(item for one in chosen for item in one.found.signatures),
-            digests=tuple(one.found.window_digest + one.found.assumed for one in chosen),
-            shares_data=frozenset(other for one in chosen for other in reader.sharing(one)),
+            signatures=tuple(item for window in chosen for item in window.found.signatures),
+            digests=tuple(window.found.window_digest + window.found.assumed for window in chosen),
+            shares_data=frozenset(other for window in chosen for other in reader.sharing(window)),
         )
-    return found
+    return subjects
 
 
-def _kind(one: KnownSignatures) -> _Kind:
-    first = one.found.signatures[0]
+def _kind(window: KnownSignatures) -> _Kind:
+    first = window.found.signatures[0]
     return first.vehicle_class, first.position
 
 
@@ -242,11 +241,11 @@ def _finding(library: Library, subject: _Subject, geometry: Estimate | None) -> 
     if signatures and subject.kind is not None:
         judges = Subject(subject.wheelset, *subject.kind, subject.pair, subject.shares_data)
         left_out.update(shelf.libraries.admitted(judges).left_out)
-        found = shelf.libraries.library(judges)
-        if isinstance(found, Reason):
-            answer = SignatureAnswer(subject.wheelset, Estimate.unknown(found))
+        others = shelf.libraries.library(judges)
+        if isinstance(others, Reason):
+            answer = SignatureAnswer(subject.wheelset, Estimate.unknown(others))
         else:
-            answer = judged(subject.wheelset, signatures, found, library.parameters)
+            answer = judged(subject.wheelset, signatures, others, library.parameters)
     return SignatureFinding(
         answer=answer,
         baseline=subject.baseline,
@@ -259,12 +258,12 @@ def _finding(library: Library, subject: _Subject, geometry: Estimate | None) -> 
     )
 
 
-def _of_present_track(one: Signature, shelf: _Shelf) -> bool:
+def _of_present_track(signature: Signature, shelf: _Shelf) -> bool:
     """Whether a signature is of the track as it is now."""
-    if one.place is None:
+    if signature.place is None:
         return True
-    change = shelf.changes.get(((one.vehicle_class, one.position), one.place))
-    return change is None or one.start_ns > change.after_ns
+    change = shelf.changes.get(((signature.vehicle_class, signature.position), signature.place))
+    return change is None or signature.start_ns > change.after_ns
 
 
 OF_ALL = Stage(
@@ -284,8 +283,8 @@ OF_ALL = Stage(
 
 def run(context: JobContext) -> Mapping[str, int]:
     """Make signatures of new windows, and answers of wheelsets for which something has changed."""
-    found = run_all((ASSUMED, OF_WINDOWS, OF_ALL), context)
-    counts = {name: count for name, count in found.items() if name not in BESIDE}
+    counted = run_all((ASSUMED, OF_WINDOWS, OF_ALL), context)
+    counts = {name: count for name, count in counted.items() if name not in BESIDE}
     with context.storage.read() as unit:
         counts["unchanged"] = len(unit.results.made_from(ANSWERS)) - counts["answered"]
     return counts

@@ -40,7 +40,7 @@ def load(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mappi
     """Return what the trends of some wheelsets are made from."""
     vehicles, changes = _vehicles(unit, serials), identity_changes(unit, serials)
     wheelsets = unit.registry.wheelsets_of(serials)
-    intervals = unit.geometries.conicities_of({one.serial: len(one.reprofilings) for one in wheelsets})
+    intervals = unit.geometries.conicities_of({wheelset.serial: len(wheelset.reprofilings) for wheelset in wheelsets})
     inputs = {}
     for wheelset in wheelsets:
         serial, baseline, vehicle = wheelset.serial, len(wheelset.reprofilings), vehicles.get(wheelset.serial)
@@ -60,7 +60,7 @@ def load(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mappi
 def _vehicles(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, VehicleRecord]:
     """Return the vehicle that each wheelset runs in, or ran in last."""
     last = {
-        serial: next((one for one in mountings if one.to_ns is None), mountings[-1])
+        serial: next((mounting for mounting in mountings if mounting.to_ns is None), mountings[-1])
         for serial, mountings in unit.registry.mountings_of(serials).items()
     }
     vehicles = unit.registry.vehicles_of({mounting.vehicle for mounting in last.values()})

@@ -16,11 +16,11 @@ from enum import StrEnum
 from itertools import pairwise
 
 from estimation.adhesion.friction import section_adhesion
-from estimation.alerts.life_cycle import close, section_transition, transition
-from estimation.alerts.rule_book import RuleBook, findings, superseded
+from estimation.alerts.life_cycle import close, transition
+from estimation.alerts.rule_book import RuleBook, findings, section_changes, superseded
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
 from estimation.alerts.rules.rule import WheelsetFacts, within_reach
-from estimation.alerts.rules.running_gear import LowAdhesionRule, SuspensionChangeRule, WeakDamperRule, section_finding
+from estimation.alerts.rules.running_gear import LowAdhesionRule, SuspensionChangeRule, WeakDamperRule
 from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.jobs.refresh_trends import trend_of
 from estimation.jobs.steps.assumptions import identity_change
@@ -28,9 +28,8 @@ from estimation.jobs.steps.wheelset_facts import hunted_beside, newest_mileage, 
 from estimation.jobs.steps.window_creep import friction_parameters, pool_ends, pooled_ns
 from estimation.storage import UnitOfWork
 from estimation.trend.trend import TrendParameters, behind_step
-from estimation.values.alerts import Alert, CloseReason, Condition, Transition
+from estimation.values.alerts import Alert, Condition, Transition
 from estimation.values.geometry import GeometryRecord, IntervalConicities, interval_conicities
-from estimation.values.opinions import SectionAdhesion
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.trend import IDENTITY, IdentityChange, TrendRecord, WearTrend, since_change
 from estimation.values.units import DAY_NS
@@ -61,9 +60,9 @@ class History:
 def history_of(unit: UnitOfWork, serial: str) -> History:
     """Return what is stored of a wheelset."""
     mountings = sorted(unit.registry.mountings(serial), key=lambda mounting: mounting.from_ns)
-    windows = sorted(unit.windows.list(serial), key=lambda one: one.start_ns)
+    windows = sorted(unit.windows.list(serial), key=lambda window: window.start_ns)
     stored = (record for record in unit.geometries.intervals(serial) if record.geometry.windows)
-    intervals = sorted(stored, key=lambda one: (one.to_ns, one.baseline))
+    intervals = sorted(stored, key=lambda interval: (interval.to_ns, interval.baseline))
     return History(
         wheelset=unit.registry.wheelset(serial),
         mountings=mountings,
@@ -94,9 +93,9 @@ def replayed(history: History, book: RuleBook, span: tuple[int, int]) -> list[Al
     closed: list[Alert] = []
     for at_ns in _instants(history, book, span):
         _evaluate(history, book, at_ns, standing, closed, trends)
-    published = [one for one in (*closed, *standing.values()) if one.condition is not Condition.PENDING]
-    within = [one for one in published if one.closed_ns is None or one.closed_ns >= span[0]]
-    return sorted(within, key=lambda one: (one.opened_ns, one.kind))
+    published = [alert for alert in (*closed, *standing.values()) if alert.condition is not Condition.PENDING]
+    within = [alert for alert in published if alert.closed_ns is None or alert.closed_ns >= span[0]]
+    return sorted(within, key=lambda alert: (alert.opened_ns, alert.kind))
 
 
 def _evaluate(
@@ -104,17 +103,17 @@ def _evaluate(
 ) -> None:
     """Bring the alerts that stand up to a time; those that end go to ``closed``."""
     wheelset, vehicle = _then(history, at_ns)
-    own = book.of(wheelset.fleet, None if vehicle is None else vehicle.vehicle_class)
-    facts = _facts(history, own, wheelset, vehicle, at_ns, trends)
+    rules = book.of(wheelset.fleet, None if vehicle is None else vehicle.vehicle_class)
+    facts = _facts(history, rules, wheelset, vehicle, at_ns, trends)
     facts = replace(facts, open_alerts=(*facts.open_alerts, *standing.values()))
-    for alert, reason, ended_ns in superseded(facts, own):
+    for alert, reason, ended_ns in superseded(facts, rules):
         if standing.pop(alert.kind, None) is not None:
             closed.append(close(alert, reason, ended_ns).alert)
-    for finding in findings(facts, own, at_ns):
+    for finding in findings(facts, rules, at_ns):
         if finding.kind in NOT_REPLAYED:
             continue
         change = transition(
-            standing.get(finding.kind), finding, at_ns, fleet=wheelset.fleet, delays=own.delays_of(finding.kind)
+            standing.get(finding.kind), finding, at_ns, fleet=wheelset.fleet, delays=rules.delays_of(finding.kind)
         )
         _follow(change, finding.kind, standing, closed)
 
@@ -132,7 +131,7 @@ def _follow(change: Transition | None, key: str, standing: dict[str, Alert], clo
 
 def _then(history: History, at_ns: int) -> tuple[WheelsetRecord, VehicleRecord | None]:
     """Return the wheelset and its vehicle as the records had them at a time."""
-    mounted = [one for one in history.mountings if one.covers(at_ns)]
+    mounted = [mounting for mounting in history.mountings if mounting.covers(at_ns)]
     mounting = replace(mounted[-1], to_ns=None) if mounted else None
     done = tuple(reprofiling for reprofiling in history.wheelset.reprofilings if reprofiling.at_ns <= at_ns)
     wheelset = replace(history.wheelset, mounting=mounting, reprofilings=done)
@@ -151,22 +150,24 @@ def _facts(
     mounting = wheelset.mounting
     if mounting is None or vehicle is None:
         return WheelsetFacts(wheelset=wheelset, vehicle=None, geometry=None, trend=None, windows=())
-    known = history.intervals[: bisect_right(history.interval_ends, at_ns)]
+    intervals = history.intervals[: bisect_right(history.interval_ends, at_ns)]
     change = history.change if history.change is not None and history.change.after_ns <= at_ns else None
-    own = [one for one in since_change(known, change) if one.baseline == len(wheelset.reprofilings)]
-    light = since_change(history.conicities[: len(known)], change)
-    conicities = [one for one in light if one.baseline == len(wheelset.reprofilings)]
-    geometry = max(known, key=lambda one: (one.baseline, one.to_ns), default=None)
+    baseline = len(wheelset.reprofilings)
+    of_profile = [interval for interval in since_change(intervals, change) if interval.baseline == baseline]
+    light = since_change(history.conicities[: len(intervals)], change)
+    conicities = [interval for interval in light if interval.baseline == baseline]
+    geometry = max(intervals, key=lambda interval: (interval.baseline, interval.to_ns), default=None)
     current = history.current
     if current is not None and current.to_ns <= at_ns and (geometry is None or current.baseline >= geometry.baseline):
         geometry = current
     limit = book.rule(ConicityLimitRule).limit_for(vehicle)
     trend = None
-    if own and limit is not None:
+    if of_profile and limit is not None:
         fitted = trends(conicities, limit)
-        trend = TrendRecord(wheelset.serial, own[-1].baseline, fitted, "", "", at_ns)
+        trend = TrendRecord(wheelset.serial, of_profile[-1].baseline, fitted, "", "", at_ns)
         conicities = behind_step(conicities, fitted.step)
-        own = [one for one in own if fitted.step is None or one.from_ns >= fitted.step.after_ns]
+        if fitted.step is not None:
+            of_profile = [interval for interval in of_profile if interval.from_ns >= fitted.step.after_ns]
     windows = _windows(history, mounting.from_ns, at_ns, book)
     return WheelsetFacts(
         wheelset=wheelset,
@@ -175,9 +176,9 @@ def _facts(
         trend=trend,
         windows=windows,
         mileage=newest_mileage(windows),
-        intervals=[one for one in own if one.to_ns > mounting.from_ns],
+        intervals=[interval for interval in of_profile if interval.to_ns > mounting.from_ns],
         conicities=[conicity for conicity in conicities if conicity.to_ns > mounting.from_ns],
-        open_alerts=[one for one in history.raised if one.kind == IDENTITY and _open_at(one, at_ns)],
+        open_alerts=[alert for alert in history.raised if alert.kind == IDENTITY and _open_at(alert, at_ns)],
         hunted=history.hunted.get(mounting.vehicle, frozenset()),
     )
 
@@ -190,9 +191,9 @@ def _windows(history: History, since_ns: int, at_ns: int, book: RuleBook) -> Seq
     wanted, far_km = windows_wanted(book)
     last = bisect_right(history.window_ends, at_ns)
     first = 0 if far_km > 0.0 else max(0, last - wanted)
-    found = [window for window in history.windows[first:last] if window.start_ns >= since_ns]
-    mileages = [None if one.implausible else one.mileage_km for one in found]
-    return found[-within_reach(mileages, wanted, far_km) :] if found else ()
+    windows = [window for window in history.windows[first:last] if window.start_ns >= since_ns]
+    mileages = [None if window.implausible else window.mileage_km for window in windows]
+    return windows[-within_reach(mileages, wanted, far_km) :] if windows else ()
 
 
 def _instants(history: History, book: RuleBook, span: tuple[int, int]) -> list[int]:
@@ -210,19 +211,19 @@ def _instants(history: History, book: RuleBook, span: tuple[int, int]) -> list[i
 def _silences(history: History, book: RuleBook, to_ns: int) -> set[int]:
     """Return when silences between usable data became too long."""
     ends = zip(history.windows, history.window_ends, strict=True)
-    usable = {end for one, end in ends if one.state is not WindowState.REFUSED} | {*history.interval_ends}
+    usable = {end for window, end in ends if window.state is not WindowState.REFUSED} | {*history.interval_ends}
     if history.current is not None:
         usable.add(history.current.to_ns)
-    found: set[int] = set()
+    times: set[int] = set()
     for mounting in history.mountings:
         vehicle = history.vehicles[mounting.vehicle]
         rule = book.of(history.wheelset.fleet, vehicle.vehicle_class).rule(NoDataRule)
         ended = to_ns if mounting.to_ns is None else min(mounting.to_ns, to_ns)
-        own = [mounting.from_ns, *sorted(end for end in usable if mounting.from_ns < end <= ended), ended]
-        for begin, end in pairwise(own):
+        ends_of_data = [mounting.from_ns, *sorted(end for end in usable if mounting.from_ns < end <= ended), ended]
+        for begin, end in pairwise(ends_of_data):
             late = (begin + round(days * DAY_NS) + 1 for days in (rule.days, rule.critical_days))
-            found |= {time for time in late if time <= end}
-    return found
+            times |= {time for time in late if time <= end}
+    return times
 
 
 class Change(StrEnum):
@@ -249,22 +250,22 @@ class Difference:
 
 def differences(before: Sequence[Alert], after: Sequence[Alert]) -> list[Difference]:
     """Return how the alerts of one wheelset differ; two of a kind that were open at one time are the same alert."""
-    left = sorted(before, key=lambda one: one.opened_ns)
-    found: list[Difference] = []
-    for alert in sorted(after, key=lambda one: one.opened_ns):
-        same = next((one for one in left if one.kind == alert.kind and _meet(one, alert)), None)
+    left = sorted(before, key=lambda alert: alert.opened_ns)
+    listed: list[Difference] = []
+    for alert in sorted(after, key=lambda alert: alert.opened_ns):
+        same = next((other for other in left if other.kind == alert.kind and _meet(other, alert)), None)
         if same is None:
-            found.append(Difference(Change.MORE, None, alert))
+            listed.append(Difference(Change.MORE, None, alert))
         else:
             left.remove(same)
-            found.append(Difference(_change(same, alert), same, alert))
-    found += [Difference(Change.FEWER, one, None) for one in left]
-    return sorted(found, key=lambda one: min(alert.opened_ns for alert in (one.before, one.after) if alert is not None))
+            listed.append(Difference(_change(same, alert), same, alert))
+    listed += [Difference(Change.FEWER, alert, None) for alert in left]
+    return sorted(listed, key=lambda item: min(alert.opened_ns for alert in (item.before, item.after) if alert))
 
 
-def _meet(one: Alert, other: Alert) -> bool:
+def _meet(alert: Alert, other: Alert) -> bool:
     """Return whether two alerts were open at one time."""
-    return _ends(one) >= other.opened_ns and _ends(other) >= one.opened_ns
+    return _ends(alert) >= other.opened_ns and _ends(other) >= alert.opened_ns
 
 
 def _ends(alert: Alert) -> float:
@@ -283,39 +284,16 @@ def section_replayed(unit: UnitOfWork, section: str, book: RuleBook, span: tuple
     """Return the alerts of low adhesion that rules would have raised about a section within a span, ns, by opening."""
     rule = book.rule(LowAdhesionRule)
     # one that is not on file any more has no places
-    length = next((one.length_m for one in unit.tracks.sections() if one.code == section), 0.0)
+    length = next((on_file.length_m for on_file in unit.tracks.sections() if on_file.code == section), 0.0)
     pooled = pooled_ns(rule)
     standing: dict[str, Alert] = {}
     closed: list[Alert] = []
     for to_ns in pool_ends(unit.adhesion.starts_with_sums(section, *span), pooled):
         passes = unit.adhesion.of_section(section, to_ns - pooled, to_ns)
-        found = section_adhesion(section, passes, friction_parameters(rule, unit, passes), length)
-        if found is not None:
+        friction = section_adhesion(section, passes, friction_parameters(rule, unit, passes), length)
+        if friction is not None:
             fleets = {unit.registry.vehicle(code).fleet for code in {window_pass.vehicle for window_pass in passes}}
-            _evaluate_section(found, book, sorted({*fleets, *standing}), standing, closed)
-    published = [one for one in (*closed, *standing.values()) if one.condition is not Condition.PENDING]
-    return sorted(published, key=lambda one: (one.opened_ns, one.fleet))
-
-
-def _evaluate_section(
-    found: SectionAdhesion, book: RuleBook, fleets: Sequence[str], standing: dict[str, Alert], closed: list[Alert]
-) -> None:
-    """Bring the alerts of the fleets up to the end of a pooled span; those that end go to ``closed``."""
-    section, at_ns = found.track_section, found.to_ns
-    finding = section_finding(book.rule(LowAdhesionRule), found)
-    for fleet in fleets:
-        own = book.of(fleet, None).rule(LowAdhesionRule)
-        if not own.enabled:
-            if fleet in standing:
-                closed.append(close(standing.pop(fleet), CloseReason.RULE_DISABLED, at_ns).alert)
-            continue
-        change = section_transition(
-            standing.get(fleet),
-            finding,
-            at_ns,
-            fleet=fleet,
-            track_section=section,
-            delays=own.delays,
-            rules_version=book.version,
-        )
-        _follow(change, fleet, standing, closed)
+            for change in section_changes(book, friction, fleets, dict(standing), friction.to_ns):
+                _follow(change, change.alert.fleet, standing, closed)
+    published = [alert for alert in (*closed, *standing.values()) if alert.condition is not Condition.PENDING]
+    return sorted(published, key=lambda alert: (alert.opened_ns, alert.fleet))

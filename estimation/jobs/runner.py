@@ -55,7 +55,7 @@ def run_all(stages: Iterable[AnyStage], context: JobContext, isolation: Isolatio
             if due:
                 isolation.read(unit)
                 tried = partial(_tried, stage.inputs(context))
-                ready = [key for key, one in due.items() if not isolation.waits(stage.kind, key, partial(tried, one))]
+                ready = [key for key, seen in due.items() if not isolation.waits(stage.kind, key, partial(tried, seen))]
                 working = _Working(stage, context, stage.inputs(context), isolation)
                 first = working.read(unit, ready[: stage.batch(context)], due) if stage.here else None
         if due and stage.here:
@@ -95,7 +95,7 @@ def _not_at_rest(
 
 def _count_due(stage: AnyStage, due: Mapping[str, Due], counts: Counter[str]) -> None:
     if stage.counted.same is not None:
-        marked = sum(one.marked for one in due.values())
+        marked = sum(state.marked for state in due.values())
         counts.subtract({stage.counted.looked: marked, stage.counted.same: marked})
 
 
@@ -185,9 +185,9 @@ class _Working:
 
     def read(self, unit: UnitOfWork, subjects: Sequence[str], due: Mapping[str, Due]) -> _Read | None:
         """Return the inputs of subjects; None where that fails, which it will again by itself."""
-        own = {subject: due[subject] for subject in subjects}
+        states = {subject: due[subject] for subject in subjects}
         try:
-            return own, self._load(unit, own)
+            return states, self._load(unit, states)
         except Exception as error:
             if not fails_alone(error):
                 raise
@@ -259,21 +259,21 @@ class _Working:
         with self.context.storage.write(fenced=not self.stage.here) as unit:
             if self.stage.here:
                 made = self._not_stored_yet(unit, due, made)
-            computed = {subject: (loaded.get(subject), one.outcome) for subject, one in made.items() if one.outcome}
-            results = [self._result(subject, one, part) for subject, one in made.items() for part in one.parts]
+            computed = {key: (loaded[key], new.outcome) for key, new in made.items() if new.outcome and key in loaded}
+            results = [self._result(subject, item, part) for subject, item in made.items() for part in item.parts]
             changed = self._put(unit, results)
             if self.stage.store is not None and computed:
                 stored.update(self.stage.store(unit, self.context, computed))
-            whole = {subject: one.mark(due[subject]) for subject, one in made.items() if not one.more}
+            whole = {subject: item.mark(due[subject]) for subject, item in made.items() if not item.more}
             unit.marks.note(self.inputs, whole)
             unit.done.update(whole)
         self.counts.update(stored)
-        looked = {subject: one for subject, one in made.items() if subject in loaded and not one.more}
+        looked = {subject: item for subject, item in made.items() if subject in loaded and not item.more}
         self._count(looked, {result.subject for result in changed}, len(changed))
-        for subject, one in made.items():
+        for subject, item in made.items():
             self.isolation.release(self.stage.kind, subject)
-            if self.stage.together and one.outcome is not None:
-                self._keep_failed(one.outcome.failed)
+            if self.stage.together and item.outcome is not None:
+                self._keep_failed(item.outcome.failed)
         return sorted(made.keys() - whole.keys())
 
     def _not_stored_yet(
@@ -282,12 +282,12 @@ class _Working:
         """Return what no other process has done since it was read; nobody else stores of such stages meanwhile."""
         unit.marks.alone()
         now = unit.marks.due(self.inputs, self.context.clock.now_ns(), list(made))
-        same = {subject for subject, one in now.items() if one.made_from == due[subject].made_from}
-        return {subject: one for subject, one in made.items() if subject in same}
+        same = {subject for subject, item in now.items() if item.made_from == due[subject].made_from}
+        return {subject: item for subject, item in made.items() if subject in same}
 
     def _keep_failed(self, failed: Mapping[tuple[SubjectKind, str], Exception]) -> None:
         """Keep what failed alone of a look at all together; what does not any more is released."""
-        for item in (one for kind in SubjectKind for one in self.isolation.held(kind)):
+        for item in (quarantined for kind in SubjectKind for quarantined in self.isolation.held(kind)):
             if not item.inputs and (item.kind, item.key) not in failed:
                 self.isolation.release(item.kind, item.key)
         for (kind, key), error in failed.items():
@@ -314,8 +314,8 @@ class _Working:
         names = self.stage.counted
         self.counts[names.looked] += len(made)
         self.counts[names.changed] += results
-        for subject, one in made.items():
-            name = names.same if one.outcome is None or one.outcome.counted is None else one.outcome.counted
+        for subject, item in made.items():
+            name = names.same if item.outcome is None or item.outcome.counted is None else item.outcome.counted
             if name is not None and subject not in changed and not (name == names.same and subject in self._stored):
                 self.counts[name] += 1
 

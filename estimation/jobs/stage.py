@@ -165,7 +165,7 @@ class Stage(Generic[I, V]):
     compute: Callable[[I], Outcome[V]]
     counted: Counted
     results: ResultKind[V] | None = None  # how what it computes is stored; None where ``store`` does all
-    # stores what is more than results, in the same transaction; returns what it counted
+    # stores what is more than results, of what was loaded, in the same transaction; returns what it counted
     store: Callable[[UnitOfWork, JobContext, Mapping[str, tuple[I, Outcome[V]]]], Mapping[str, int]] | None = None
     # stores what a failure says of a subject, beside the quarantine
     failed: Callable[[UnitOfWork, str, Exception], None] | None = None
@@ -221,5 +221,5 @@ def _estimated(value: object) -> Iterator[tuple[float, float]]:
         for item in fields(value):
             yield from _estimated(getattr(value, item.name))
     elif isinstance(value, tuple):
-        for one in value:
-            yield from _estimated(one)
+        for item in value:
+            yield from _estimated(item)

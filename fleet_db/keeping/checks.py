@@ -23,7 +23,7 @@ from fleet_db.keeping.kept_files import (
 )
 from fleet_db.raw import RawStore, check_raw_store
 from fleet_db.records import ChunkState, RawScrub
-from fleet_db.rows import table_of
+from fleet_db.rows import same_window, table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.chunks import RawFile
 from fleet_db.tables.alerts import AlertEventRow, AlertRow
@@ -32,7 +32,7 @@ from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES, POSITIONS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WindowPositionRow)
 ALERTS, EVENTS, ALIGNMENTS = table_of(AlertRow), table_of(AlertEventRow), table_of(TrackAlignmentRow)
-OF_TABLE = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
+OF_TABLE = same_window(WINDOWS, TABLES)
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from fleet_db.keeping.retention import Kept, Retention
 from fleet_db.locks import keeping_alone
 from fleet_db.raw import RawStore
 from fleet_db.records import DeliveryState
-from fleet_db.rows import batches, equal, replace_all, table_of
+from fleet_db.rows import batches, equal, replace_all, same_window, table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.tables.alerts import WebhookDeliveryRow
 from fleet_db.tables.operation import AuditRow, IdempotencyRow, JobRunRow, ResultRow
@@ -41,7 +41,7 @@ OF_ROLL_UP = and_(
         ROLL_UPS.c.table_key == TABLES.c.parameter_key, ROLL_UPS.c.table_key.like(TABLES.c.parameter_key + f"{APART}%")
     ),
 )
-OF_TABLE = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
+OF_TABLE = same_window(WINDOWS, TABLES)
 
 
 def expired_tables(connection: Connection, before_ns: int, number: int | None = None) -> Sequence[int]:
@@ -85,9 +85,8 @@ def _forget_places(connection: Connection, wheelset: str, first_ns: int, last_ns
     ended = or_(WINDOWS.c.table_purged_ns.is_not(None), WINDOWS.c.state == WindowState.REFUSED.value)
     purged = (WINDOWS.c.samples_purged_ns.is_not(None), ended)
     for table in (MEMBERS, POSITIONS):
-        of_window = (WINDOWS.c.wheelset == table.c.wheelset, WINDOWS.c.start_ns == table.c.start_ns)
         within = (table.c.wheelset == wheelset, table.c.start_ns.between(first_ns, last_ns))
-        gone = and_(*within, exists().where(*of_window, *purged))
+        gone = and_(*within, exists().where(same_window(WINDOWS, table), *purged))
         if table is MEMBERS:
             epoch = (MEMBERS.c.section, MEMBERS.c.epoch)
             held = connection.execute(select(*epoch, func.count()).where(gone).group_by(*epoch)).all()
@@ -116,7 +115,7 @@ def expired_samples(connection: Connection, before_ns: int, limit: int) -> Seque
         ~EPOCHS.c.waits,
         EPOCHS.c.horizon_ns < before_ns,
     )
-    needed = exists().where(MEMBERS.c.wheelset == WINDOWS.c.wheelset, MEMBERS.c.start_ns == WINDOWS.c.start_ns, ~over)
+    needed = exists().where(same_window(MEMBERS, WINDOWS), ~over)
     columns = (WINDOWS.c.wheelset, WINDOWS.c.start_ns, WINDOWS.c.content_digest, WINDOWS.c.sample_bytes)
     return connection.execute(
         select(*columns)

@@ -15,7 +15,7 @@ from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertSco
 from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import IDENTITY, UNREGISTERED_CHANGE
 from fleet_db.locks import Subject, serialise
-from fleet_db.rows import by_wheelset, equal, given, insert_of, present, table_of
+from fleet_db.rows import equal, given, grouped, insert_of, present, table_of
 from fleet_db.session import to_json
 from fleet_db.subjects import ReadOnce, Subjects
 from fleet_db.tables.alerts import AlertEventRow, AlertRow
@@ -163,7 +163,7 @@ class AlertStore:
             beside: Kind of alerts that :meth:`of_kind` is asked for next: they are read by the same statement.
         """
         read = self._alerts(or_(_OPEN, ALERTS.c.kind == beside), ALERTS.c.wheelset.in_(wheelsets))
-        of_kind = by_wheelset((alert for alert in read if alert.kind == beside), lambda alert: alert)
+        of_kind: dict[str, list[Alert]] = grouped(alert for alert in read if alert.kind == beside)
         self.once.remember(f"alerts {beside}", {serial: of_kind.get(serial) for serial in wheelsets})
         return [alert for alert in read if alert.closed_ns is None]
 
@@ -200,7 +200,7 @@ class AlertStore:
         """Return every alert of a kind that there has been of some wheelsets, by number."""
 
         def read(some: Collection[str]) -> Mapping[str, Sequence[Alert]]:
-            return by_wheelset(self._alerts(ALERTS.c.kind == kind, ALERTS.c.wheelset.in_(some)), lambda alert: alert)
+            return grouped(self._alerts(ALERTS.c.kind == kind, ALERTS.c.wheelset.in_(some)))
 
         by_serial = self.once.of_wheelsets(f"alerts {kind}", wheelsets, read)
         return sorted((alert for alerts in by_serial.values() for alert in alerts), key=lambda alert: alert.alert_id)

@@ -6,13 +6,13 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from sqlalchemy import Connection, and_, case, delete, exists, func, insert, or_, select, tuple_, union_all, update
+from sqlalchemy import Connection, and_, case, delete, exists, func, insert, or_, select, union_all, update
 
 from estimation.errors import DamagedError
 from estimation.values.windows import HUNTING_SHARE, DueStage, PassedOver, Window, WindowKey, WindowRecord
 from fleet_db.due import OF_SAMPLES, raise_sections, windows_changed, windows_left
 from fleet_db.records import ChunkState
-from fleet_db.rows import equal, insert_all_new, replace_all, table_of, value_of_row
+from fleet_db.rows import equal, insert_all_new, replace_all, same_window, table_of, value_of_row, window_key
 from fleet_db.stores.window_rows import list_for_sums, pass_over, to_window_record, window_values
 from fleet_db.subjects import Store, Subjects
 from fleet_db.tables.recordings import ChunkRow, StaleSpanRow
@@ -22,7 +22,7 @@ from fleet_db.telemetry import WindowFiles
 
 WINDOWS, TABLES, POSITIONS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WindowPositionRow)
 CHUNKS = table_of(ChunkRow)
-HAS_TABLE = exists().where(TABLES.c.wheelset == WINDOWS.c.wheelset, TABLES.c.start_ns == WINDOWS.c.start_ns)
+HAS_TABLE = exists().where(same_window(TABLES, WINDOWS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +112,7 @@ class AssembledWindowStore:
 
     def _touch(self, keys: Sequence[WindowKey]) -> None:
         """Let jobs look again at the sections that windows are on as they are stored, and at who hunts in them."""
-        same = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys)
+        same = window_key(WINDOWS).in_(keys)
         hunts = WINDOWS.c.hunting_share >= HUNTING_SHARE
         stored = select(WINDOWS.c.wheelset, WINDOWS.c.track_section, case((hunts, WINDOWS.c.vehicle)))
         for wheelset, section, hunting_in in self.connection.execute(stored.where(same).distinct()):

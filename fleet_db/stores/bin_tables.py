@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, FromClause, Row, and_, func, or_, select, tuple_
+from sqlalchemy import ColumnElement, Connection, FromClause, Row, and_, func, or_, select
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.motion.parameters import MOTION
@@ -15,14 +15,25 @@ from estimation.values.geometry import BinTable, FilledCells, TableKey, WindowTa
 from estimation.values.roll_up import TabledWindow
 from estimation.values.windows import WindowKey, WindowRecord, WindowState
 from fleet_db.packed_values import pack_bin_table, unpack_bin_table, unpack_filled_cells
-from fleet_db.rows import batches, by_wheelset, given, on_sections, put_rows, replace_all, table_of
-from fleet_db.stores.window_rows import keys_given, list_for_sums, spans_given, to_window_record
+from fleet_db.rows import (
+    batches,
+    given,
+    grouped,
+    keys_given,
+    on_sections,
+    put_rows,
+    replace_all,
+    same_window,
+    table_of,
+    window_key,
+)
+from fleet_db.stores.window_rows import list_for_sums, spans_given, to_window_record
 from fleet_db.stores.windows import NOT_PASSED_OVER
 from fleet_db.subjects import ReadOnce, Subjects
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
-SAME_WINDOW = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)
+SAME_WINDOW = same_window(WINDOWS, TABLES)
 BATCH = 500  # rows fetched at once
 TabledSpan = tuple[str, int, int | None, int]
 """Wheelset, first start, that behind the last one, and how many windows at most."""
@@ -124,7 +135,7 @@ class BinTableStore:
             return list(ahead)
         within = (*given(from_ns, TABLES.c.start_ns.__ge__), *given(to_ns, TABLES.c.start_ns.__lt__))
         statement = WITHOUT_TABLES.where(TABLES.c.wheelset == wheelset, *within)
-        return _tabled(self.connection.execute(statement.order_by(TABLES.c.start_ns)))
+        return [_tabled(row) for row in self.connection.execute(statement.order_by(TABLES.c.start_ns))]
 
     def last_reading(self, wheelset: str, from_ns: int, to_ns: int) -> TabledWindow | None:
         """Return the last window in ``[from_ns, to_ns)`` that has been summed and whose odometer had a reading."""
@@ -154,22 +165,21 @@ class BinTableStore:
     def _all_tabled(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[TabledWindow]]:
         statement = WITHOUT_TABLES.where(TABLES.c.wheelset.in_(wheelsets))
         rows = self.connection.execute(statement.order_by(TABLES.c.wheelset, TABLES.c.start_ns))
-        return by_wheelset(rows, lambda row: _tabled([row])[0])
+        return grouped(rows, _tabled)
 
     def _last_readings(self, spans: Collection[tuple[str, int, int]]) -> Mapping[tuple[str, int, int], TabledWindow]:
         asked = spans_given(spans)
         earlier, its_window = TABLES.alias("earlier"), WINDOWS.alias("its_window")
-        same = and_(its_window.c.wheelset == earlier.c.wheelset, its_window.c.start_ns == earlier.c.start_ns)
         last = (
             select(earlier.c.start_ns)
-            .join_from(earlier, its_window, same)
+            .join_from(earlier, its_window, same_window(its_window, earlier))
             .where(*_within(earlier, asked), earlier.c.running_km.is_not(None))
             .where(func.abs(its_window.c.mileage_km) <= MOTION.most_mileage_km)
             .order_by(earlier.c.start_ns.desc())
             .limit(1)
         )
         chosen = TABLES.c.start_ns == last.correlate(asked).scalar_subquery()
-        return {(row.of_wheelset, row.from_ns, row.to_ns): _tabled([row])[0] for row in self._of_spans(asked, chosen)}
+        return {(row.of_wheelset, row.from_ns, row.to_ns): _tabled(row) for row in self._of_spans(asked, chosen)}
 
     def _some_tabled(self, spans: Collection[TabledSpan]) -> Mapping[TabledSpan, Sequence[TabledWindow]]:
         windows: dict[TabledSpan, list[TabledWindow]] = {span: [] for span in spans}
@@ -180,7 +190,7 @@ class BinTableStore:
             left_out = following.limit(1).offset(limit).correlate(asked).scalar_subquery()
             before = or_(left_out.is_(None), TABLES.c.start_ns < left_out)
             for row in self._of_spans(asked, and_(*_within(TABLES, asked), before)):
-                windows[row.of_wheelset, row.from_ns, row.to_ns, limit] += _tabled([row])
+                windows[row.of_wheelset, row.from_ns, row.to_ns, limit].append(_tabled(row))
         return windows
 
     def _of_spans(self, asked: FromClause, chosen: ColumnElement[bool]) -> Sequence[Row[Any]]:
@@ -188,7 +198,7 @@ class BinTableStore:
         return self.connection.execute(statement.where(chosen).order_by(TABLES.c.wheelset, TABLES.c.start_ns)).all()
 
     def _packed(self, keys: Collection[WindowKey]) -> Mapping[WindowKey, bytes]:
-        of_keys = tuple_(TABLES.c.wheelset, TABLES.c.start_ns).in_(sorted(keys))
+        of_keys = window_key(TABLES).in_(sorted(keys))
         rows = self.connection.execute(select(TABLES.c.wheelset, TABLES.c.start_ns, TABLES.c.packed).where(of_keys))
         return {(row.wheelset, row.start_ns): row.packed for row in rows}
 
@@ -244,15 +254,12 @@ def _within(table: FromClause, asked: FromClause) -> tuple[ColumnElement[bool], 
     return table.c.wheelset == asked.c.of_wheelset, table.c.start_ns >= asked.c.from_ns, before
 
 
-def _tabled(rows: Iterable[Row[Any]]) -> list[TabledWindow]:
-    return [
-        TabledWindow(
-            record=to_window_record(row),
-            parameter_key=row.parameter_key,
-            track_version=row.track_version,
-            content_digest=row.table_digest,
-            running_km=row.running_km,
-            samples_purged=row.samples_purged_ns is not None,
-        )
-        for row in rows
-    ]
+def _tabled(row: Row[Any]) -> TabledWindow:
+    return TabledWindow(
+        record=to_window_record(row),
+        parameter_key=row.parameter_key,
+        track_version=row.track_version,
+        content_digest=row.table_digest,
+        running_km=row.running_km,
+        samples_purged=row.samples_purged_ns is not None,
+    )

@@ -14,7 +14,7 @@ from estimation.values.windows import PassedOver
 from estimation.vehicle.vehicle_class import ClassOnFile, same_motion
 from fleet_db.due import positions_forgotten
 from fleet_db.records import NOTHING_AGAIN, ChunkRecord, ChunkState, EstimatedAgain
-from fleet_db.rows import table_of
+from fleet_db.rows import same_window, table_of
 from fleet_db.stores.chunks import ChosenChunks, ChunkStore
 from fleet_db.stores.stage_marks import QuarantineStore
 from fleet_db.stores.window_rows import wait_again
@@ -23,7 +23,7 @@ from fleet_db.tables.track import TrackVersionRow, WindowPositionRow
 from fleet_db.tables.windows import WindowRow
 
 WINDOWS, POSITIONS, VERSIONS = table_of(WindowRow), table_of(WindowPositionRow), table_of(TrackVersionRow)
-OF_WINDOW = and_(POSITIONS.c.wheelset == WINDOWS.c.wheelset, POSITIONS.c.start_ns == WINDOWS.c.start_ns)
+OF_WINDOW = same_window(POSITIONS, WINDOWS)
 
 
 @dataclass(frozen=True, slots=True)

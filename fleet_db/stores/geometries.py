@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import starmap
-from typing import Any, TypeVar
+from typing import Any
 
 from sqlalchemy import Connection, delete, exists, func, insert, select
 
@@ -26,15 +26,13 @@ from estimation.values.geometry import (
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import Result, ResultKind
 from estimation.values.trend import TREND, TrendRecord, WearTrend
-from fleet_db.rows import nan_if_null, null_if_nan, table_of
+from fleet_db.rows import grouped, nan_if_null, null_if_nan, table_of
 from fleet_db.stores.results import RESULTS, Parts, ResultHead, ResultStore
 from fleet_db.stores.window_rows import NOTED_OF, noted_columns, noted_in
 from fleet_db.subjects import ReadOnce
 from fleet_db.tables.registry import WheelsetRow
 from fleet_db.tables.windows import WheelsetBinRow, WindowBinTableRow
 
-V = TypeVar("V")
-Stored = TypeVar("Stored", Result[WheelsetGeometry], ResultHead)
 BINS = table_of(WheelsetBinRow)
 UNITS = {name: "rad" if name.startswith("contact_angle") else "m" for name in COMBINATIONS}
 TABLES, WHEELSETS = table_of(WindowBinTableRow), table_of(WheelsetRow)
@@ -60,7 +58,7 @@ class GeometryStore:
             records = self.baselines(wheelset)
             filled = [record for record in records if record.geometry.windows]
             return next(reversed(filled or records), None)
-        result = self._current(wheelset, as_of_ns)
+        result = self._newest_of([wheelset], as_of_ns).get(wheelset)
         return None if result is None else _record(result)
 
     def read_with(self, kinds: Collection[ResultKind[Any]], subjects: Collection[str]) -> None:
@@ -78,8 +76,14 @@ class GeometryStore:
 
     def current_of(self, wheelsets: Collection[str]) -> Mapping[str, GeometryRecord]:
         """Return what :meth:`current` does of each of some wheelsets that has one, by serial."""
-        by_wheelset = _by_subject(self.results.in_force(GEOMETRY, wheelsets, None, CURRENT), lambda result: result)
-        return {wheelset: _record(_newest(results)) for wheelset, results in by_wheelset.items()}
+        return {wheelset: _record(result) for wheelset, result in self._newest_of(wheelsets).items()}
+
+    def _newest_of(
+        self, wheelsets: Collection[str], as_of_ns: int | None = None
+    ) -> dict[str, Result[WheelsetGeometry]]:
+        current = self.results.in_force(GEOMETRY, wheelsets, as_of_ns, CURRENT)
+        stored: dict[str, list[Result[WheelsetGeometry]]] = grouped(current, by="subject")
+        return {wheelset: _newest(results) for wheelset, results in stored.items()}
 
     def version(self, wheelset: str) -> tuple[int, int] | None:
         """Return number and time of the current geometry put last: they change whenever :meth:`current` does."""
@@ -97,7 +101,7 @@ class GeometryStore:
         return self.once.of_wheelset("current geometries", wheelset, self._baselines) or ()
 
     def _baselines(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[GeometryRecord]]:
-        return _by_subject(self.results.in_force(GEOMETRY, wheelsets, None, CURRENT), _record)
+        return grouped(self.results.in_force(GEOMETRY, wheelsets, None, CURRENT), _record, by="subject")
 
     def read_ahead(self, wheelsets: Collection[str]) -> None:
         """Read together what :meth:`baselines` and :meth:`conicities` are asked for one by one; raises DamagedError."""
@@ -110,7 +114,7 @@ class GeometryStore:
             return {}
 
         def read(some: Collection[str]) -> Mapping[str, Sequence[tuple[tuple[int, int], IntervalDigest]]]:
-            return _by_subject(self.results.heads(GEOMETRY, some, INTERVALS), _interval_digest)
+            return grouped(self.results.heads(GEOMETRY, some, INTERVALS), _interval_digest, by="subject")
 
         return dict(self.once.of_wheelset("interval digests", wheelset, read) or ())
 
@@ -160,11 +164,7 @@ class GeometryStore:
 
     def _conicities(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[tuple[int, IntervalConicities]]]:
         heads = self.results.heads(GEOMETRY, wheelsets, INTERVALS)
-        return _by_subject(heads, lambda result: (key_of_part(result.part)[0], _conicities(result)))
-
-    def _current(self, wheelset: str, as_of_ns: int | None = None) -> Result[WheelsetGeometry] | None:
-        results = self.results.in_force(GEOMETRY, [wheelset], as_of_ns, CURRENT)
-        return _newest(results) if results else None
+        return grouped(heads, lambda result: (key_of_part(result.part)[0], _conicities(result)), by="subject")
 
     def estimable(self, wheelsets: Collection[str]) -> frozenset[str]:
         """Return those of some wheelsets that have a bin table or a geometry."""
@@ -183,7 +183,7 @@ class GeometryStore:
 
     def bins_are_current(self, wheelset: str) -> bool:
         """Whether the plain rows of bins are those of the current geometry."""
-        current = self._current(wheelset)
+        current = self._newest_of([wheelset]).get(wheelset)
         shown = select(func.max(BINS.c.geometry_id)).where(BINS.c.wheelset == wheelset)
         return current is None or current.number == self.connection.scalar(shown)
 
@@ -191,19 +191,11 @@ class GeometryStore:
         """Let the plain rows of bins of some wheelsets be those of their current geometry."""
         if not wheelsets:
             return
-        stored = _by_subject(self.results.in_force(GEOMETRY, wheelsets, None, CURRENT), lambda result: result)
-        newest = (_newest(results) for results in stored.values())
+        newest = self._newest_of(wheelsets).values()
         rows = [row for result in newest if result.value is not None for row in _bin_rows(result, result.value)]
         if rows:
             self.connection.execute(delete(BINS).where(BINS.c.wheelset.in_({row["wheelset"] for row in rows})))
             self.connection.execute(insert(BINS), rows)
-
-
-def _by_subject(results: Iterable[Stored], value: Callable[[Stored], V]) -> dict[str, list[V]]:
-    by_subject: dict[str, list[V]] = {}
-    for result in results:
-        by_subject.setdefault(result.subject, []).append(value(result))
-    return by_subject
 
 
 def _interval_digest(result: ResultHead) -> tuple[tuple[int, int], IntervalDigest]:

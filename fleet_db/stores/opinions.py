@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Row, Select, Text, and_, cast, delete, func, select, tuple_
+from sqlalchemy import Connection, Row, Select, Text, and_, cast, delete, func, select
 from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
 from estimation.errors import ParameterError, StorageError
@@ -50,9 +50,11 @@ from fleet_db.rows import (
     put_rows,
     replace_all,
     row_of,
+    same_window,
     table_of,
     upsert,
     value_of_row,
+    window_key,
 )
 from fleet_db.rows import replace as replace_row
 from fleet_db.stores.results import ResultStore
@@ -63,7 +65,7 @@ from fleet_db.tables.windows import RailCellRow, SectionAdhesionRow, WindowAdhes
 OF_WINDOWS, OF_SECTIONS = table_of(WindowAdhesionRow), table_of(SectionAdhesionRow)
 WINDOWS = table_of(WindowRow)
 FORGOTTEN = 1000  # windows at once: the next run goes on
-SAME = and_(OF_WINDOWS.c.wheelset == WINDOWS.c.wheelset, OF_WINDOWS.c.start_ns == WINDOWS.c.start_ns)
+SAME = same_window(OF_WINDOWS, WINDOWS)
 
 
 class AdhesionStore(RaisingStore):
@@ -71,7 +73,7 @@ class AdhesionStore(RaisingStore):
 
     def looked_at(self, keys: Sequence[WindowKey]) -> Mapping[WindowKey, str]:
         """Return digests of the samples that the creep of windows was found from."""
-        of_keys = tuple_(OF_WINDOWS.c.wheelset, OF_WINDOWS.c.start_ns).in_(keys)
+        of_keys = window_key(OF_WINDOWS).in_(keys)
         rows = self.connection.execute(select(*OF_WINDOWS.primary_key, OF_WINDOWS.c.content_digest).where(of_keys))
         return {(row.wheelset, row.start_ns): row.content_digest for row in rows}
 
@@ -90,7 +92,7 @@ class AdhesionStore(RaisingStore):
         put_rows(self.connection, OF_WINDOWS, [_values(creep) for creep in creeps])
         keys = [(creep.wheelset, creep.start_ns) for creep in creeps]
         if keys:
-            list_due(self.connection, FRICTION, tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys))
+            list_due(self.connection, FRICTION, window_key(WINDOWS).in_(keys))
         for creep in creeps:
             self.subjects.raised(SubjectKind.SECTION, creep.track_section, CREEP)
             self.subjects.raised(SubjectKind.VEHICLE, creep.vehicle, CREEP)
@@ -227,11 +229,7 @@ class SuspensionStore(RaisingStore):
 
 
 DAMPERS = table_of(WindowDamperRow)
-SAME_DAMPER = and_(
-    WINDOWS.c.wheelset == DAMPERS.c.wheelset,
-    WINDOWS.c.start_ns == DAMPERS.c.start_ns,
-    WINDOWS.c.content_digest == DAMPERS.c.content_digest,
-)
+SAME_DAMPER = same_window(WINDOWS, DAMPERS, "content_digest")
 
 
 @dataclass(frozen=True, slots=True)

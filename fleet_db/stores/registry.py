@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 from sqlalchemy import Connection, Select, select
@@ -17,11 +18,11 @@ from fleet_db.due import list_due
 from fleet_db.locks import Subject, serialise
 from fleet_db.records import NOTHING_AGAIN, Decision, EstimatedAgain, RecordAction, RecordKind
 from fleet_db.rows import (
-    by_wheelset,
     columns_of,
     delete_row,
     equal,
     given,
+    grouped,
     present,
     row_of,
     table_of,
@@ -52,7 +53,6 @@ from fleet_db.stores.wheelset_events import (
     changed_spans,
     measured_of,
     mounting_on_file,
-    mountings_of,
     reprofilings_of,
     store_measured_profiles,
     stored_measurement,
@@ -160,7 +160,7 @@ class RegistryStore:
 
     def mountings_of(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[Mounting]]:
         """Return every mounting of some wheelsets by serial, oldest first; one without a mounting is left out."""
-        return self.once.of_wheelsets("mountings", wheelsets, partial(mountings_of, self.connection))
+        return self.once.of_wheelsets("mountings", wheelsets, partial(self._mountings, "wheelset"))
 
     def mounted_on(self, vehicles: Collection[str]) -> Sequence[Mounting]:
         """Return the mountings on some vehicles that last, by vehicle and axle."""
@@ -168,14 +168,12 @@ class RegistryStore:
         return [mounting for _, mountings in by_vehicle for mounting in mountings if mounting.to_ns is None]
 
     def _mountings_by_vehicle(self, vehicles: Collection[str]) -> Mapping[str, Sequence[Mounting]]:
-        def read(some: Collection[str]) -> Mapping[str, Sequence[Mounting]]:
-            statement = select(MOUNTINGS).where(MOUNTINGS.c.vehicle.in_(some))
-            by_vehicle: dict[str, list[Mounting]] = {}
-            for row in self.connection.execute(statement.order_by(MOUNTINGS.c.axle, MOUNTINGS.c.from_ns)):
-                by_vehicle.setdefault(row.vehicle, []).append(value_of_row(Mounting, row))
-            return by_vehicle
+        by_vehicle = self.once.of("mountings of vehicle", vehicles, partial(self._mountings, "vehicle"))
+        return {code: sorted(mountings, key=attrgetter("axle")) for code, mountings in by_vehicle.items()}
 
-        return self.once.of("mountings of vehicle", vehicles, read)
+    def _mountings(self, column: str, keys: Collection[str]) -> Mapping[str, Sequence[Mounting]]:
+        statement = select(MOUNTINGS).where(MOUNTINGS.c[column].in_(keys)).order_by(MOUNTINGS.c.from_ns)
+        return grouped(self.connection.execute(statement), partial(value_of_row, Mounting), by=column)
 
     def measured_wheelsets(self) -> frozenset[str]:
         """Return the serials of the wheelsets whose profiles were measured."""
@@ -190,7 +188,7 @@ class RegistryStore:
 
         def read(some: Collection[str]) -> Mapping[str, Sequence[MeasuredProfiles]]:
             statement = select(MEASURED).where(MEASURED.c.wheelset.in_(some)).order_by(MEASURED.c.at_ns)
-            return by_wheelset(self.connection.execute(statement), measured_of)
+            return grouped(self.connection.execute(statement), measured_of)
 
         return self.once.of("measured profiles", wheelsets, read)
 

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sqlalchemy import Connection, Row, and_, delete, func, insert, or_, select, tuple_, update
+from sqlalchemy import Connection, Row, and_, delete, func, insert, or_, select, update
 
 from estimation.errors import ConflictError
 from estimation.values.geometry import BinTable
@@ -14,8 +14,17 @@ from estimation.values.roll_up import RolledPart, RollingSums, RollUp, RollUpKey
 from estimation.values.windows import WindowKey
 from fleet_db.fields import fields_of, value_of
 from fleet_db.packed_values import pack_bin_table, pack_rolling_sums, unpack_bin_table, unpack_rolling_sums
-from fleet_db.rows import batches, by_wheelset, columns_of, put_rows, replace_all, table_of, value_of_row
-from fleet_db.stores.window_rows import keys_given
+from fleet_db.rows import (
+    batches,
+    columns_of,
+    grouped,
+    keys_given,
+    put_rows,
+    replace_all,
+    table_of,
+    value_of_row,
+    window_key,
+)
 from fleet_db.subjects import ReadOnce
 from fleet_db.tables.registry import WheelsetRow
 from fleet_db.tables.windows import RollingSumsRow, RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
@@ -50,7 +59,7 @@ class RollUpStore:
         def read(some: Collection[str]) -> Mapping[str, Sequence[RollUp]]:
             columns = (ROLL_UPS.c.wheelset, *(ROLL_UPS.c[name] for name in KNOWN))
             statement = select(*columns).where(ROLL_UPS.c.wheelset.in_(some)).order_by(ROLL_UPS.c.number)
-            return by_wheelset(self.connection.execute(statement), roll_up)
+            return grouped(self.connection.execute(statement), roll_up)
 
         def roll_up(row: Row[Any]) -> RollUp:
             key = value_of_row(RollUpKey, row, interval=row.baseline_interval)
@@ -161,7 +170,7 @@ class RollUpStore:
         }
 
     def _rolling(self, keys: Collection[WindowKey]) -> Mapping[WindowKey, Row[Any]]:
-        of_keys = select(ROLLING).where(tuple_(ROLLING.c.wheelset, ROLLING.c.start_ns).in_(keys))
+        of_keys = select(ROLLING).where(window_key(ROLLING).in_(keys))
         return {(row.wheelset, row.start_ns): row for row in self.connection.execute(of_keys)}
 
     def put_rolling(self, sums: Sequence[WindowRollingSums]) -> None:

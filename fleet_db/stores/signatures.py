@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from sqlalchemy import and_, delete, func, or_, select, tuple_
+from sqlalchemy import and_, delete, func, or_, select
 
 from estimation.errors import DamagedError
 from estimation.values.runs import SubjectKind
@@ -13,13 +13,13 @@ from estimation.values.signatures import SIGNATURES as STAGE
 from estimation.values.windows import WindowKey
 from fleet_db.due import list_due, windows_changed
 from fleet_db.packed_values import pack_signatures, unpack_signatures
-from fleet_db.rows import batches, columns_of, put_rows, table_of, value_of_row
+from fleet_db.rows import batches, columns_of, put_rows, same_window, table_of, value_of_row, window_key
 from fleet_db.subjects import RaisingStore
 from fleet_db.tables.windows import WearSignatureRow, WindowRow
 
 SIGNATURES, WINDOWS = table_of(WearSignatureRow), table_of(WindowRow)
-KEY = tuple_(SIGNATURES.c.wheelset, SIGNATURES.c.start_ns)
-SAME = and_(SIGNATURES.c.wheelset == WINDOWS.c.wheelset, SIGNATURES.c.start_ns == WINDOWS.c.start_ns)
+KEY = window_key(SIGNATURES)
+SAME = same_window(SIGNATURES, WINDOWS)
 SPEED_BAND = 5  # m/s
 NEWEST = 24  # windows of a wheelset on a section in a band of speed that the library may use
 TOGETHER = 100
@@ -77,8 +77,9 @@ class SignatureStore(RaisingStore):
             WINDOWS.c.implausible_code.is_(None),
         )
         newest = keys.subquery()
-        same = and_(newest.c.wheelset == SIGNATURES.c.wheelset, newest.c.start_ns == SIGNATURES.c.start_ns)
-        statement = select(SIGNATURES, newest.c.mileage_km).select_from(SIGNATURES.join(newest, same))
+        statement = select(SIGNATURES, newest.c.mileage_km).join_from(
+            SIGNATURES, newest, same_window(newest, SIGNATURES)
+        )
         statement = statement.where(newest.c.age <= NEWEST)
         rows = self.connection.execute(statement.order_by(SIGNATURES.c.wheelset, SIGNATURES.c.start_ns))
         readable, damaged = [], []

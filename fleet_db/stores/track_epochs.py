@@ -31,8 +31,8 @@ from estimation.values.runs import Facet, SubjectKind
 from estimation.values.track import EpochMember, FoldState, FoundOfVehicles, HeldWindow, ListedWindow, TrackEpoch
 from estimation.values.windows import DueStage, WindowKey, WindowRecord, WindowState
 from fleet_db.due import DUE, OF_WINDOW, list_due, stale_epochs
-from fleet_db.rows import batches, columns_of, put_rows, table_of, value_of_row
-from fleet_db.stores.window_rows import keys_given, to_window_record
+from fleet_db.rows import batches, columns_of, keys_given, put_rows, same_window, table_of, value_of_row
+from fleet_db.stores.window_rows import to_window_record
 from fleet_db.subjects import RaisingStore
 from fleet_db.tables.track import TrackEpochRow, TrackEpochVehicleRow, TrackEpochWindowRow
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
@@ -41,7 +41,7 @@ EPOCHS, MEMBERS, WINDOWS = table_of(TrackEpochRow), table_of(TrackEpochWindowRow
 VEHICLES = table_of(TrackEpochVehicleRow)
 TABLES = table_of(WindowBinTableRow)
 OF_EPOCH = and_(MEMBERS.c.section == EPOCHS.c.section, MEMBERS.c.epoch == EPOCHS.c.number)
-OF_TABLE = and_(TABLES.c.wheelset == WINDOWS.c.wheelset, TABLES.c.start_ns == WINDOWS.c.start_ns)
+OF_TABLE = same_window(TABLES, WINDOWS)
 WITH_SAMPLES = WINDOWS.c.samples_purged_ns.is_(None)
 HELD = [item.name for item in fields(HeldWindow)]
 LISTED_AT_ONCE = 64
@@ -215,15 +215,15 @@ class EpochStore(RaisingStore):
         """Let an epoch be computed again, where it is there."""
         stale_epochs(self.subjects, [(section, number)])
 
-    def put_found(self, section: str, number: int, found: FoundOfVehicles | None) -> None:
+    def put_found(self, section: str, number: int, of_vehicles: FoundOfVehicles | None) -> None:
         """Store of which vehicles an epoch has found what matters for them alone, in the place of what was known."""
         self.subjects.places(section)
         of_epoch = (VEHICLES.c.section == section, VEHICLES.c.epoch == number)
         self.connection.execute(delete(VEHICLES).where(*of_epoch))
-        if found is None:
+        if of_vehicles is None:
             return
-        for vehicle, ratio in found.stiffness_ratio.items():
-            values = {"section": section, "epoch": number, "vehicle": vehicle, "version": found.version}
+        for vehicle, ratio in of_vehicles.stiffness_ratio.items():
+            values = {"section": section, "epoch": number, "vehicle": vehicle, "version": of_vehicles.version}
             self.connection.execute(insert(VEHICLES).values(**values, stiffness_ratio=ratio))
 
     def found(self, section: str, number: int, since: int) -> Mapping[str, float]:
@@ -320,11 +320,9 @@ def _of_listed(section: str, after: tuple[int, str]) -> Select[Any]:
     """Return the statement of the next listed windows of a section, as they are stored and as epochs hold them."""
     held = [MEMBERS.c[name].label(f"held_{name}") for name in HELD]
     key = (DUE.c.start_ns, DUE.c.wheelset)
-    of_due = (WINDOWS.c.wheelset == DUE.c.wheelset, WINDOWS.c.start_ns == DUE.c.start_ns)
-    members = (MEMBERS.c.wheelset == DUE.c.wheelset, MEMBERS.c.start_ns == DUE.c.start_ns)
     return (
         select(DUE.c.start_ns.label("due_start_ns"), DUE.c.wheelset.label("due_wheelset"), *WINDOWS.columns, *held)
-        .select_from(DUE.outerjoin(WINDOWS, and_(*of_due)).outerjoin(MEMBERS, and_(*members)))
+        .select_from(DUE.outerjoin(WINDOWS, same_window(WINDOWS, DUE)).outerjoin(MEMBERS, same_window(MEMBERS, DUE)))
         .where(*_listed(section), tuple_(*key) > tuple_(*after))
         .order_by(*key)
         .limit(LISTED_AT_ONCE)

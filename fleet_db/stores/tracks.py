@@ -26,11 +26,24 @@ from estimation.values.windows import WindowKey, WindowPosition
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
 from fleet_db.records import Decision, RecordAction, RecordKind
-from fleet_db.rows import columns_of, equal, given, null_if_nan, present, row_of, table_of, upsert, value_of_row
+from fleet_db.rows import (
+    batches,
+    columns_of,
+    equal,
+    given,
+    keys_given,
+    null_if_nan,
+    present,
+    put_rows,
+    row_of,
+    same_window,
+    table_of,
+    upsert,
+    value_of_row,
+)
 from fleet_db.stores.assembled import make_stale
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.track_epochs import EpochStore
-from fleet_db.stores.window_rows import forget_positions, positions_of, put_positions
 from fleet_db.subjects import ReadOnce, Subjects
 from fleet_db.tables.track import (
     TrackAlignmentRow,
@@ -47,6 +60,7 @@ LAYOUTS = table_of(TrackLayoutRow)
 SECTIONS, ALIGNMENTS, VERSIONS = table_of(TrackSectionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)
 EPOCHS = table_of(TrackEpochRow)
 REPORTS, POSITIONS, WINDOWS = table_of(TrackReportRow), table_of(WindowPositionRow), table_of(WindowRow)
+OF_WINDOWS = select(POSITIONS).where(keys_given(POSITIONS))
 SAME_VERSION = and_(VERSIONS.c.section == ALIGNMENTS.c.section, VERSIONS.c.version == ALIGNMENTS.c.version)
 STANDS = VERSIONS.c.superseded_ns.is_(None)  # a registered one has no row there
 SOURCE = func.coalesce(VERSIONS.c.source, AlignmentSource.RECORDED)
@@ -242,25 +256,29 @@ class TrackStore:
 
     def positions(self, keys: Sequence[WindowKey]) -> Mapping[WindowKey, WindowPosition]:
         """Return by wheelset and start where those of some windows were that have been looked at."""
-        return positions_of(self.connection, keys)
+        rows = (row for some in batches(keys) for row in self.connection.execute(OF_WINDOWS, {"keys": some}))
+        return {(row.wheelset, row.start_ns): value_of_row(WindowPosition, row) for row in rows}
 
     def put_positions(self, positions: Sequence[WindowPosition]) -> Mapping[WindowKey, WindowPosition | None]:
         """Store where windows were, in the place of what was known; return that of those of which it has changed."""
-        return put_positions(self.connection, positions)
+        by_key = {(position.wheelset, position.start_ns): position for position in positions}
+        before = self.positions(list(by_key))
+        changed = {key: position for key, position in by_key.items() if before.get(key) != position}
+        put_rows(self.connection, POSITIONS, [columns_of(changed[key]) for key in sorted(changed)])
+        return {key: before.get(key) for key in changed}
 
     def forget_positions_of(self, keys: Sequence[WindowKey]) -> None:
         """Forget where some windows were."""
-        for section in forget_positions(self.connection, keys):
-            self.subjects.places(section)
+        on = select(WINDOWS.c.track_section).where(keys_given(WINDOWS))
+        for some in batches(keys):
+            for section in self.connection.scalars(on, {"keys": some}):
+                self.subjects.places(section)
+            self.connection.execute(delete(POSITIONS).where(keys_given(POSITIONS)), {"keys": some})
 
     def forget_positions(self, section: str) -> int:
         """Forget where a section's windows were, and compute its epochs from the first; return of how many."""
         EpochStore(self.connection, self.subjects).start_again(section)
-        of_section = exists().where(
-            WINDOWS.c.wheelset == POSITIONS.c.wheelset,
-            WINDOWS.c.start_ns == POSITIONS.c.start_ns,
-            WINDOWS.c.track_section == section,
-        )
+        of_section = exists().where(same_window(WINDOWS, POSITIONS), WINDOWS.c.track_section == section)
         return int(self.connection.execute(delete(POSITIONS).where(of_section)).rowcount)
 
     def layout(self, section: str, version: int | None = None) -> TrackLayout | None:
@@ -268,7 +286,14 @@ class TrackStore:
         version = self.layout_version(section) if version is None else version
         if version is None:
             return None
-        return self.once.one("layout", (section, version), partial(find_layout, self.connection, section, version))
+        return self.once.one("layout", (section, version), partial(self._layout, section, version))
+
+    def _layout(self, section: str, version: int) -> TrackLayout | None:
+        packed = self.connection.scalar(
+            select(LAYOUTS.c.packed).where(*equal(LAYOUTS, section=section, version=version))
+        )
+        where = f"layout {version} of track section {section!r}"
+        return None if packed is None else unpack_layout(packed, version, where=where)
 
     def given(self, section: str) -> tuple[int | None, int | None]:
         """Return the versions of a section's alignment and layout as :meth:`registered` and :meth:`layout_version`."""
@@ -286,9 +311,16 @@ class TrackStore:
         """Store a layout as the next version and return that; the content of the newest again changes nothing."""
         serialise(self.connection, Subject.TRACKS)
         self.section(layout.section)
-        before, version = self.layout_version(layout.section), store_layout(self.connection, layout)
-        if version != before:
-            self.subjects.section_on_file(layout.section)
+        packed = pack_layout(layout)
+        digest = hashlib.sha256(packed).hexdigest()
+        of_section = select(LAYOUTS.c.version, LAYOUTS.c.content_digest).where(LAYOUTS.c.section == layout.section)
+        newest = self.connection.execute(of_section.order_by(LAYOUTS.c.version.desc()).limit(1)).first()
+        if newest is not None and newest.content_digest == digest:
+            return int(newest.version)
+        version = 1 if newest is None else int(newest.version) + 1
+        content = {"points": len(layout.s), "content_digest": digest, "packed": packed}
+        self.connection.execute(insert(LAYOUTS).values(section=layout.section, version=version, **content))
+        self.subjects.section_on_file(layout.section)
         return version
 
     def _sections(self, statement: Select[Any]) -> Sequence[TrackSectionRecord]:
@@ -305,31 +337,6 @@ def _registered(section: str) -> Select[Any]:
 
 def _alignment_record(row: Any) -> AlignmentRecord:  # noqa: ANN401 - a row of RECORDS
     return value_of_row(AlignmentRecord, row, cut_off_m=np.inf if row.cut_off_m is None else row.cut_off_m)
-
-
-def find_layout(connection: Connection, section: str, version: int) -> TrackLayout | None:
-    """Return one version of the layout of a section; None where there is none."""
-    packed = connection.scalar(select(LAYOUTS.c.packed).where(*equal(LAYOUTS, section=section, version=version)))
-    where = f"layout {version} of track section {section!r}"
-    return None if packed is None else unpack_layout(packed, version, where=where)
-
-
-def store_layout(connection: Connection, layout: TrackLayout) -> int:
-    """Store a layout as the next version and return that; the content of the newest again changes nothing."""
-    packed = pack_layout(layout)
-    digest = hashlib.sha256(packed).hexdigest()
-    newest = connection.execute(
-        select(LAYOUTS.c.version, LAYOUTS.c.content_digest)
-        .where(LAYOUTS.c.section == layout.section)
-        .order_by(LAYOUTS.c.version.desc())
-        .limit(1)
-    ).first()
-    if newest is not None and newest.content_digest == digest:
-        return int(newest.version)
-    version = 1 if newest is None else int(newest.version) + 1
-    key = {"section": layout.section, "version": version}
-    connection.execute(insert(LAYOUTS).values(**key, points=len(layout.s), content_digest=digest, packed=packed))
-    return version
 
 
 def free_numbers(history: RegistryHistoryStore, records: Sequence[TrackSectionRecord], recorded_ns: int | None) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -18,7 +17,7 @@ from estimation.values.registry import Mounting, Reprofiling, SensorChange
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_wheel_pair, unpack_wheel_pair
 from fleet_db.records import Decision, RecordKind
-from fleet_db.rows import batches, by_wheelset, columns_of, given, row_of, table_of, upsert, value_of_row
+from fleet_db.rows import batches, columns_of, given, grouped, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.subjects import RaisingStore
 from fleet_db.tables.recordings import StaleSpanRow
@@ -42,12 +41,6 @@ def _where(mounting: Mounting) -> str:
     place = f"wheelset {mounting.wheelset!r} at axle {mounting.axle} of {mounting.vehicle!r}"
     end = "" if mounting.to_ns is None else f" to {utc_text(mounting.to_ns)}"
     return f"{place} from {utc_text(mounting.from_ns)}{end}"
-
-
-def mountings_of(connection: Connection, wheelsets: Collection[str]) -> dict[str, list[Mounting]]:
-    """Return every mounting of some wheelsets by serial, oldest first; one without a mounting is left out."""
-    statement = select(MOUNTINGS).where(MOUNTINGS.c.wheelset.in_(wheelsets)).order_by(MOUNTINGS.c.from_ns)
-    return by_wheelset(connection.execute(statement), partial(value_of_row, Mounting))
 
 
 def mounting_on_file(connection: Connection, record: Mounting) -> Mounting | None:
@@ -96,7 +89,7 @@ def _overlapping(connection: Connection, record: Mounting) -> Mounting | None:
 def reprofilings_of(connection: Connection, serials: Sequence[str]) -> dict[str, list[Reprofiling]]:
     """Return the visits of some wheelsets to the lathe by serial, oldest first."""
     statement = select(REPROFILINGS).where(REPROFILINGS.c.wheelset.in_(serials)).order_by(REPROFILINGS.c.at_ns)
-    return by_wheelset(connection.execute(statement), lambda row: Reprofiling(*row))
+    return grouped(connection.execute(statement), lambda row: Reprofiling(*row))
 
 
 def newest_measurements(
@@ -153,10 +146,12 @@ class WindowDistance:
 
 def lives_on_file(connection: Connection, serials: Collection[str]) -> dict[str, LifeOnFile]:
     """Return the lives of some wheelsets."""
-    mountings = by_wheelset(mountings_where(connection, MOUNTINGS.c.wheelset, serials), lambda mounting: mounting)
+    mountings: dict[str, list[Mounting]] = grouped(mountings_where(connection, MOUNTINGS.c.wheelset, serials))
     turned, measured = (_dated(connection, table, serials) for table in (REPROFILINGS, MEASURED))
     return {
-        serial: LifeOnFile(*(tuple(dated.get(serial, ())) for dated in (mountings, turned, measured)))
+        serial: LifeOnFile(
+            tuple(mountings.get(serial, ())), tuple(turned.get(serial, ())), tuple(measured.get(serial, ()))
+        )
         for serial in serials
     }
 
@@ -195,7 +190,7 @@ def _dated(connection: Connection, table: Table, serials: Collection[str]) -> di
     """Return time and mileage of what a table holds of wheelsets, oldest first."""
     statement = select(table.c.wheelset, table.c.at_ns, table.c.mileage_km).order_by(table.c.at_ns)
     rows = (connection.execute(statement.where(table.c.wheelset.in_(some))) for some in batches(sorted(serials)))
-    return by_wheelset(chain.from_iterable(rows), lambda row: (row.at_ns, row.mileage_km))
+    return grouped(chain.from_iterable(rows), lambda row: (row.at_ns, row.mileage_km))
 
 
 CHANGES = table_of(SensorChangeRow)

@@ -20,6 +20,7 @@ from sqlalchemy import (
     exists,
     false,
     func,
+    or_,
     select,
     true,
     union_all,
@@ -39,8 +40,8 @@ from estimation.values.windows import (
 )
 from fleet_db.due import DUE, IS_PENDING, PLACED, is_due, list_due
 from fleet_db.records import ChunkState
-from fleet_db.rows import batches, by_wheelset, equal, given, replace_all, stored_reason, table_of, value_of_row
-from fleet_db.stores.window_rows import implausible_reason, keys_given, spans_given
+from fleet_db.rows import batches, equal, given, grouped, keys_given, replace_all, stored_reason, table_of, value_of_row
+from fleet_db.stores.window_rows import implausible_reason, spans_given
 from fleet_db.stores.windows import WindowStore
 from fleet_db.tables.operation import WorklistEntryRow
 from fleet_db.tables.recordings import ChunkRow
@@ -234,17 +235,15 @@ class PlausibilityStore:
     connection: Connection
     windows: WindowStore
 
-    def note_odometer(self, wheelset: str, start_ns: int, excess_m: float) -> None:
-        """Store by how much the odometer of a window differs from its speed, beyond what it may, m."""
-        self._note(wheelset, start_ns, WINDOWS.c.odometer_excess_m, excess_m)
+    def note(self, wheelset: str, start_ns: int, odometer_excess_m: float, off_line_m: float) -> None:
+        """Store how far the odometer of a window differs from its speed, and GNSS from its section's line, m.
 
-    def note_place(self, wheelset: str, start_ns: int, off_line_m: float) -> None:
-        """Store how far from its section's line the vehicle was in a window by GNSS, m; 0 within the limit."""
-        self._note(wheelset, start_ns, WINDOWS.c.off_line_m, off_line_m)
-
-    def _note(self, wheelset: str, start_ns: int, column: ColumnElement[float], value: float) -> None:
+        Each beyond what it may; 0 within the limit.
+        """
         this = and_(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
-        noted = update(WINDOWS).where(this, column != value).values({column: value})
+        values = {"odometer_excess_m": odometer_excess_m, "off_line_m": off_line_m}
+        other = or_(*(WINDOWS.c[name] != value for name, value in values.items()))
+        noted = update(WINDOWS).where(this, other).values(values)
         if self.connection.execute(noted.execution_options(preserve_rowcount=True)).rowcount:
             list_due(self.connection, DueStage.MILEAGES, this)
 
@@ -259,7 +258,7 @@ class PlausibilityStore:
         statement = select(WINDOWS.c.wheelset, *READING).where(WINDOWS.c.wheelset.in_(wheelsets))
         statement = statement.where(is_due(DueStage.MILEAGES, WINDOWS))
         rows = self.connection.execute(statement.order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns))
-        return by_wheelset(rows, _reading)
+        return grouped(rows, _reading)
 
     def readings_around(self, spans: Sequence[ReadingSpan]) -> Mapping[ReadingSpan, Sequence[MileageReading]]:
         """Return mileages in spans (wheelset, first, last start), one before and one after each, oldest first."""

@@ -1,4 +1,4 @@
-"""Rows of windows: read and written, the states of many at once, and where they were along their sections."""
+"""Rows of windows: read and written, and the states of many at once."""
 
 from __future__ import annotations
 
@@ -13,13 +13,11 @@ from sqlalchemy import (
     Row,
     String,
     and_,
-    bindparam,
     delete,
     exists,
     literal,
     or_,
     select,
-    tuple_,
     union_all,
     update,
 )
@@ -36,7 +34,6 @@ from estimation.values.windows import (
     Window,
     WindowKey,
     WindowMark,
-    WindowPosition,
     WindowQuality,
     WindowRecord,
     WindowState,
@@ -44,19 +41,17 @@ from estimation.values.windows import (
 from fleet_db.due import estimated, list_due, list_to_estimate, list_waiting
 from fleet_db.rows import (
     batches,
-    columns_of,
+    keys_given,
     nan_if_null,
     null_if_nan,
-    put_rows,
     reason_columns,
     replace_all,
+    same_window,
     stored_reason,
     table_of,
-    value_of_row,
 )
 from fleet_db.subjects import Subjects
 from fleet_db.tables.registry import WheelsetRow
-from fleet_db.tables.track import WindowPositionRow
 from fleet_db.tables.windows import DOUBTED, PASSED_OVER, REFUSED, WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES, WHEELSETS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WheelsetRow)
@@ -87,11 +82,6 @@ def noted_columns() -> list[ColumnElement[bool]]:
 def noted_in(row: Row[Any]) -> frozenset[str]:
     """Return the names of the columns of :func:`noted_columns` in a row that are true."""
     return frozenset(name for name in NOTED if getattr(row, name))
-
-
-def keys_given(table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows
-    """Return the condition that wheelset and start of a row are among the parameters ``keys``."""
-    return tuple_(table.c.wheelset, table.c.start_ns).in_(bindparam("keys", expanding=True))
 
 
 def spans_given(spans: Iterable[tuple[str, int, int | None]]) -> FromClause:
@@ -173,7 +163,7 @@ def remove_tables(connection: Connection, subjects: Subjects, keys: Sequence[Win
 
 def list_for_sums(connection: Connection, keys: Sequence[WindowKey]) -> None:
     """List windows whose bin table or its mileage is another, or is about to be removed: they are summed again."""
-    tabled = exists().where(TABLES.c.wheelset == WINDOWS.c.wheelset, TABLES.c.start_ns == WINDOWS.c.start_ns)
+    tabled = exists().where(same_window(TABLES, WINDOWS))
     for some in batches(keys):
         list_due(connection, DueStage.SUMS, and_(keys_given(WINDOWS), tabled), keys=some)
 
@@ -246,34 +236,3 @@ def window_values(window: Window, mileage_km: float) -> dict[str, object]:
         "state": WindowState.PENDING.value,
         **reason_columns(None),
     }
-
-
-POSITIONS = table_of(WindowPositionRow)
-OF_WINDOWS = select(POSITIONS).where(keys_given(POSITIONS))
-
-
-def positions_of(connection: Connection, keys: Sequence[WindowKey]) -> Mapping[WindowKey, WindowPosition]:
-    """Return by wheelset and start where those of some windows were that have been looked at."""
-    rows = (row for some in batches(keys) for row in connection.execute(OF_WINDOWS, {"keys": some}))
-    return {(row.wheelset, row.start_ns): value_of_row(WindowPosition, row) for row in rows}
-
-
-def put_positions(
-    connection: Connection, positions: Sequence[WindowPosition]
-) -> Mapping[WindowKey, WindowPosition | None]:
-    """Store where windows were, in the place of what was known; return that of those of which it has changed."""
-    by_key = {(position.wheelset, position.start_ns): position for position in positions}
-    before = positions_of(connection, list(by_key))
-    changed = {key: position for key, position in by_key.items() if before.get(key) != position}
-    put_rows(connection, POSITIONS, [columns_of(changed[key]) for key in sorted(changed)])
-    return {key: before.get(key) for key in changed}
-
-
-def forget_positions(connection: Connection, keys: Sequence[WindowKey]) -> set[str | None]:
-    """Forget where some windows were; return the sections that they are on."""
-    sections: set[str | None] = set()
-    on = select(WINDOWS.c.track_section).where(keys_given(WINDOWS))
-    for some in batches(keys):
-        sections.update(connection.scalars(on, {"keys": some}))
-        connection.execute(delete(POSITIONS).where(keys_given(POSITIONS)), {"keys": some})
-    return sections

@@ -20,7 +20,6 @@ from sqlalchemy import (
     func,
     or_,
     select,
-    tuple_,
 )
 
 from estimation.errors import PurgedError
@@ -40,19 +39,20 @@ from estimation.values.windows import (
 from fleet_db.due import list_due, list_for_alignment, positions_forgotten, windows_changed, windows_left
 from fleet_db.rows import (
     batches,
-    by_wheelset,
     given,
+    grouped,
     insert_new,
     key_given,
     key_of,
+    keys_given,
     on_sections,
     present,
     replace,
     table_of,
+    window_key,
 )
 from fleet_db.stores.window_rows import (
     NOTED_OF,
-    keys_given,
     list_for_sums,
     mark_all,
     noted_columns,
@@ -254,7 +254,7 @@ class WindowStore:
                 WINDOWS.c.state == WindowState.ESTIMATED.value,
             )
             rows = self.connection.execute(statement.order_by(WINDOWS.c.start_ns))
-            return by_wheelset(rows, lambda row: (row.start_ns, PassedOver(row.passed_over)))
+            return grouped(rows, lambda row: (row.start_ns, PassedOver(row.passed_over)))
 
         return self.once.of_wheelset("passed_over", wheelset, read) or ()
 
@@ -283,7 +283,7 @@ class WindowStore:
                 WINDOWS.c.state == WindowState.REFUSED.value,
                 WINDOWS.c.reason_code.in_([code.value for code in codes]),
             )
-            return by_wheelset(self._records(statement.order_by(WINDOWS.c.start_ns)), lambda record: record)
+            return grouped(self._records(statement.order_by(WINDOWS.c.start_ns)))
 
         return self.once.of_wheelset(f"refused {codes}", wheelset, read) or ()
 
@@ -305,7 +305,7 @@ class WindowStore:
         Args:
             count: At most so many of each.
         """
-        return by_wheelset(self._records(_in_service(wheelsets, count)), lambda record: record)
+        return grouped(self._records(_in_service(wheelsets, count)))
 
     def mileage_then(self, wheelset: str, as_of_ns: int) -> MileageNow | None:
         """Return the newest mileage of the windows recorded until a time that is believed; None where none is."""
@@ -331,7 +331,7 @@ class WindowStore:
             on = select(WINDOWS.c.track_section).where(keys_given(WINDOWS)).distinct()
             for section in self.connection.scalars(on, {"keys": some}):
                 self.subjects.places(section)
-            positions_forgotten(self.subjects, and_(tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(some), *chosen))
+            positions_forgotten(self.subjects, and_(window_key(WINDOWS).in_(some), *chosen))
             self.connection.execute(delete(POSITIONS).where(keys_given(POSITIONS), *chosen), {"keys": some})
 
     def _set_mileage(self, window: Window, stored: Row[Any], mileage_km: float) -> bool:

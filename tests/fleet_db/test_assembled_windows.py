@@ -36,8 +36,7 @@ def test_windows_that_are_added_together_are_as_those_that_are_put_one_by_one(fl
     with fleet.write() as unit:
         for number, window in enumerate(windows):
             unit.windows.put(window, 10.0 + number, 50)
-            unit.plausibility.note_odometer("WS-1", window.start_ns, 0.5 * number)
-            unit.plausibility.note_place("WS-1", window.start_ns, 70.0 * number)
+            unit.plausibility.note("WS-1", window.start_ns, 0.5 * number, 70.0 * number)
         one_by_one = rows(unit)
         unit.assembled.remove(unit.windows.list("WS-1"))
         assert rows(unit) == []
@@ -69,7 +68,7 @@ def test_windows_that_are_replaced_together_are_as_those_that_are_put_one_by_one
         first(unit)
         for other in others:
             unit.windows.put(other, 12.0, 60)
-            unit.plausibility.note_odometer("WS-1", other.start_ns, 3.0)
+            unit.plausibility.note("WS-1", other.start_ns, 3.0, 0.0)
         one_by_one = rows(unit)
         unit.assembled.remove(unit.windows.list("WS-1"))
         first(unit)

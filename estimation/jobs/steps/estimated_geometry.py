@@ -97,7 +97,7 @@ def contradiction(
         first_ns, last_ns: Start of the first and of the last of them.
     """
     first, last = first_ns - JOBS.contradiction_span_ns, last_ns + JOBS.contradiction_span_ns
-    against = [one.reason for one in refused if one.vehicle in vehicles and first <= one.start_ns <= last]
+    against = [record.reason for record in refused if record.vehicle in vehicles and first <= record.start_ns <= last]
     return against[-1] if len(against) > JOBS.most_refused_share * (len(against) + windows) else None
 
 
@@ -129,13 +129,13 @@ class RadiusOnFile:
             chosen: Content digest and start of the windows.
             stored: Returns what the geometry that is stored has against the radius, where it is asked for.
         """
-        found = self._sums({start_ns: digest for digest, start_ns in chosen}, assumed)
-        before = None if found or stored is None else stored()
+        sums = self._sums({start_ns: digest for digest, start_ns in chosen}, assumed)
+        before = None if sums or stored is None else stored()
         if before is not None:
             return before
-        same = (assumed.digest, *(f"{start_ns} {digest}" for digest, start_ns in chosen if start_ns in found))
+        same = (assumed.digest, *(f"{start_ns} {digest}" for digest, start_ns in chosen if start_ns in sums))
         if same not in self._checked:
-            parts = [part for start_ns in sorted(found) for part in found[start_ns]]
+            parts = [part for start_ns in sorted(sums) for part in sums[start_ns]]
             of_class = assumed.window_parameters.vehicle_class
             radius, std = of_class.parameters.nominal_radius, of_class.std_of("nominal_radius")
             measured = "nominal_radius" in of_class.relative_std
@@ -149,16 +149,16 @@ class RadiusOnFile:
             stored = self.unit.roll_ups.rolling(self.wheelset, unknown, assumed.digest)
             self._known.update({(at, unknown[at], assumed.digest): parts for at, parts in stored.items()})
         keys = {at: (at, digest, assumed.digest) for at, digest in chosen.items()}
-        found = {at: self._known[key] for at, key in keys.items() if key in self._known}
-        for start_ns in chosen.keys() - found.keys():
+        sums = {at: self._known[key] for at, key in keys.items() if key in self._known}
+        for start_ns in chosen.keys() - sums.keys():
             key = (start_ns, assumed.digest)
             if key not in self.fresh:
                 parts = self._of_samples(start_ns, assumed)
                 if parts is None:
                     continue
                 self.fresh[key] = WindowRollingSums(self.wheelset, start_ns, chosen[start_ns], assumed.digest, parts)
-            found[start_ns] = self.fresh[key].parts
-        return found
+            sums[start_ns] = self.fresh[key].parts
+        return sums
 
     def _of_samples(self, start_ns: int, assumed: Assumed) -> tuple[RollingSums, ...] | None:
         record, made_with = self.unit.windows.get(self.wheelset, start_ns), assumed.window_parameters
@@ -171,20 +171,20 @@ class RadiusOnFile:
         return None if isinstance(window, Reason) else rolling_sums(window, made_with.vehicle_class, made_with.signals)
 
 
-def stated(found: Contradiction | None) -> Mapping[str, JsonValue]:
+def stated(against: Contradiction | None) -> Mapping[str, JsonValue]:
     """Return what a geometry keeps of a doubt on its radius among its parameters."""
-    if found is None or found.certain:
+    if against is None or against.certain:
         return {}
-    doubt: dict[str, JsonValue] = {"code": found.reason.code.value, "text": found.reason.text}
-    return {RADIUS_DOUBTED: {**doubt, "relative": found.relative}}
+    doubt: dict[str, JsonValue] = {"code": against.reason.code.value, "text": against.reason.text}
+    return {RADIUS_DOUBTED: {**doubt, "relative": against.relative}}
 
 
 def former(unit: UnitOfWork, wheelset: str, baseline: int, interval: int | None) -> GeometryRecord | None:
     """Return the geometry that is stored of an interval, or the current one; None where there is none."""
     if interval is None:
-        return next((one for one in unit.geometries.baselines(wheelset) if one.baseline == baseline), None)
-    found = unit.geometries.intervals(wheelset, baseline, first=interval, last=interval)
-    return next(iter(found), None)
+        return next((record for record in unit.geometries.baselines(wheelset) if record.baseline == baseline), None)
+    intervals = unit.geometries.intervals(wheelset, baseline, first=interval, last=interval)
+    return next(iter(intervals), None)
 
 
 def remembered(record: GeometryRecord | None) -> Contradiction | None:
@@ -207,8 +207,8 @@ def remembered(record: GeometryRecord | None) -> Contradiction | None:
 def windows_of_newest(roll_ups: Sequence[RollUp]) -> list[tuple[str, int]]:
     """Return windows that stand for the newest of some roll-ups, as many as one has at most."""
     chosen: list[tuple[str, int]] = []
-    for one in sorted(roll_ups, key=lambda one: one.last_ns, reverse=True):
-        chosen += one.chosen
+    for roll_up in sorted(roll_ups, key=lambda roll_up: roll_up.last_ns, reverse=True):
+        chosen += roll_up.chosen
         if len(chosen) >= MOST_CHOSEN:
             break
     return sorted(chosen[:MOST_CHOSEN], key=lambda item: item[1])
@@ -216,16 +216,16 @@ def windows_of_newest(roll_ups: Sequence[RollUp]) -> list[tuple[str, int]]:
 
 def versions_of(roll_ups: Sequence[RollUp]) -> Mapping[str, tuple[int, ...]]:
     """Return by section the versions of its alignment that tables rest on, increasing."""
-    found: defaultdict[str, set[int]] = defaultdict(set)
-    for one in roll_ups:
-        for section, versions in one.versions.items():
-            found[section].update(versions)
-    return {section: tuple(sorted(found[section])) for section in sorted(found)}
+    by_section: defaultdict[str, set[int]] = defaultdict(set)
+    for roll_up in roll_ups:
+        for section, versions in roll_up.versions.items():
+            by_section[section].update(versions)
+    return {section: tuple(sorted(by_section[section])) for section in sorted(by_section)}
 
 
 def mean_km(rules: Membership, roll_ups: Sequence[RollUp]) -> float:
     """Return the mean mileage with forgetting."""
-    newest_km = max(one.last_km for one in roll_ups)
-    weights = [rules.weight(one.key, newest_km) for one in roll_ups]
-    total = sum(weight * one.weighted_km for weight, one in zip(weights, roll_ups, strict=True))
-    return total / sum(w * one.weight for w, one in zip(weights, roll_ups, strict=True))
+    newest_km = max(roll_up.last_km for roll_up in roll_ups)
+    weights = [rules.weight(roll_up.key, newest_km) for roll_up in roll_ups]
+    total = sum(weight * roll_up.weighted_km for weight, roll_up in zip(weights, roll_ups, strict=True))
+    return total / sum(w * roll_up.weight for w, roll_up in zip(weights, roll_ups, strict=True))

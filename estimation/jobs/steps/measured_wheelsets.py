@@ -46,20 +46,20 @@ def measured(
         if record.wheelset not in on_file:
             continue
         try:
-            found = _newest(unit, record, classes.wheelset(record.wheelset), within_km)
+            newest = _newest(unit, record, classes.wheelset(record.wheelset), within_km)
         except DamagedError as error:  # the others go on
             notes.append(str(error))
             continue
-        if found is None:
+        if newest is None:
             continue
-        name = measurement_name(found)
+        name = measurement_name(newest)
         try:
             on_class = classes.of_vehicle(record.vehicle)
             curves[life] = measured_curve(
                 name,
-                found.left,
-                found.right,
-                found.std,
+                newest.left,
+                newest.right,
+                newest.std,
                 rail=section.rail_profile,
                 inclination=section.rail_inclination,
                 gauge=section.nominal_gauge_m,
@@ -107,8 +107,8 @@ class ComparisonReader:
             return []
         intervals = self.unit.geometries.intervals(wheelset.serial)
         change = last_break(self.unit, wheelset)
-        known = self.unit.registry.measured_profiles(wheelset.serial)
-        found = []
+        stored = self.unit.registry.measured_profiles(wheelset.serial)
+        comparisons = []
         for measurement in measurements:
             estimate = estimate_of_date(measurement, wheelset, intervals, self.interval_km, change)
             wheels = WheelPair(measurement.left, measurement.right, wheelset.nominal_radius_m, measurement.std)
@@ -116,10 +116,10 @@ class ComparisonReader:
             independent = None
             if estimate.record is not None:
                 baseline = baseline_at(wheelset, measurement.at_ns)
-                same = [item for item in known if baseline_at(wheelset, item.at_ns) == baseline]
+                same = [item for item in stored if baseline_at(wheelset, item.at_ns) == baseline]
                 independent = not rests_on(self.unit, estimate.record, same)
-            found.append(compared(measurement, contact, estimate, independent=independent))
-        return found
+            comparisons.append(compared(measurement, contact, estimate, independent=independent))
+        return comparisons
 
     def rails(self, serial: str, record: GeometryRecord | None) -> tuple[RailShare, ...]:
         """Return the rails that an estimate is of, with the share of its windows on each.
@@ -160,7 +160,7 @@ def _any_evidence(unit: UnitOfWork, section: str, versions: Sequence[int], named
         seen.add(version)
         report = unit.tracks.report(section, version)
         evidence = report.report.get("evidence") if report is not None else None
-        listed = {str(one) for one in evidence} if isinstance(evidence, list) else set[str]()
+        listed = {str(item) for item in evidence} if isinstance(evidence, list) else set[str]()
         if listed & named:
             return True
         waiting += [n for n in range(1, version) if evidence_of_version(AlignmentSource.FLEET, n) in listed]

@@ -50,7 +50,7 @@ class CellToMake:
         """Return the cell, or why its windows give none."""
         if self.windows is None:
             return self.before
-        found = section_conicity(
+        conicity = section_conicity(
             self.before.wheel,
             self.before.rail,
             self.windows.table,
@@ -59,9 +59,9 @@ class CellToMake:
             scale_std=self.windows.scale_std,
             span_ns=(self.before.from_ns, self.before.to_ns),
         )
-        if isinstance(found, Reason):
-            return replace(self.before, reason=found)
-        return replace(self.before, cell=found)
+        if isinstance(conicity, Reason):
+            return replace(self.before, reason=conicity)
+        return replace(self.before, cell=conicity)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,8 @@ def wheelset_cells(unit: UnitOfWork, serials: Sequence[str], context: JobContext
     classes = ClassLookup(unit, context.settings.estimation)
     classes.look_up(serials)
     return {
-        serial: _of_wheelset(unit, membership(unit, serial, classes), own, context) for serial, own in stored.items()
+        serial: _of_wheelset(unit, membership(unit, serial, classes), cells, context)
+        for serial, cells in stored.items()
     }
 
 
@@ -97,37 +98,37 @@ def _of_wheelset(
     stored = {(cell.wheel, cell.rail): cell for cell in cells}
     intervals = unit.geometries.interval_digests(rules.wheelset)
     reader = _CellReader(unit, rules, context)
-    found = WheelsetCells()
+    other = WheelsetCells()
     seen: set[CellKey] = set()
     filled = [part for part in rolled(unit, rules).parts if part.roll_up.windows]
     for place, part in by_interval(part for part in filled if rules.assumed(part.roll_up) is not None).items():
         wheel = WheelKey(rules.wheelset, *place)
         refused = intervals[place].reason if place in intervals else None
-        own = _within(part, wheel, cells) if part.roll_up.sealed else []
-        if own:
-            moved = [_sealed(replace(one, wheel=wheel), refused) for one in own]
-            seen |= {(one.wheel, one.rail) for one in moved}
-            changed = (one for one in moved if one != stored.get((one.wheel, one.rail)))
-            found = replace(found, moved=(*found.moved, *changed))
+        sealed = _within(part, wheel, cells) if part.roll_up.sealed else []
+        if sealed:
+            moved = [_sealed(replace(cell, wheel=wheel), refused) for cell in sealed]
+            seen |= {(cell.wheel, cell.rail) for cell in moved}
+            changed = (cell for cell in moved if cell != stored.get((cell.wheel, cell.rail)))
+            other = replace(other, moved=(*other.moved, *changed))
             continue
         digest = reader.interval_digest(part, refused)
         there = [cell for cell in cells if cell.wheel == wheel]
-        if there and all(one.interval_digest == digest and not one.damaged for one in there):
-            seen |= {(one.wheel, one.rail) for one in there}
+        if there and all(cell.interval_digest == digest and not cell.damaged for cell in there):
+            seen |= {(cell.wheel, cell.rail) for cell in there}
             continue
         to_make, kept, keys = reader.interval(part, wheel, refused, digest, stored)
         seen |= keys
-        found = replace(found, to_make=(*found.to_make, *to_make), kept=(*found.kept, *kept))
-    return replace(found, gone=tuple(sorted(set(stored) - seen)))
+        other = replace(other, to_make=(*other.to_make, *to_make), kept=(*other.kept, *kept))
+    return replace(other, gone=tuple(sorted(set(stored) - seen)))
 
 
 def _within(part: Part, wheel: WheelKey, stored: Iterable[StoredCell]) -> list[StoredCell]:
     """Return the cells of a mileage interval by time: its number is another where a lathe was registered later."""
     first_ns, end_ns = part.roll_up.first_ns, part.roll_up.end_ns
     return [
-        one
-        for one in stored
-        if (one.wheel == wheel if not one.to_ns else first_ns <= one.from_ns and one.to_ns <= end_ns)
+        cell
+        for cell in stored
+        if (cell.wheel == wheel if not cell.to_ns else first_ns <= cell.from_ns and cell.to_ns <= end_ns)
     ]
 
 
@@ -167,8 +168,8 @@ class _CellReader:
         windows = members(self.unit, self.rules, part)
         for rail, there in _by_rail(windows, self.context.settings.rails.model.period_days).items():
             text, last = self._common(assumed, refused), there[-1].window.record
-            for one in there:
-                text.update(f"{one.line}\n".encode())
+            for member in there:
+                text.update(f"{member.line}\n".encode())
             digest = text.hexdigest()
             before = stored.get((wheel, rail))
             keys.add((wheel, rail))
@@ -192,11 +193,11 @@ class _CellReader:
             f"{CELL_VERSION} {self.context.code_version} {assumed.digest} {code} {settings!r}\n".encode()
         )
 
-    def _windows(self, cell: StoredCell, own: Sequence[Member], assumed: Assumed) -> CellWindows:
+    def _windows(self, cell: StoredCell, windows: Sequence[Member], assumed: Assumed) -> CellWindows:
         bins, settings = bin_parameters(assumed.window_parameters), self.context.settings.estimation
-        starts = [one.start_ns for one in own]
+        starts = [window.start_ns for window in windows]
         table = merge_all((cells for _, cells in self.unit.tables.cells_of(cell.wheel.wheelset, starts)), bins)
-        versions = sorted({one.window.track_version for one in own if one.window.track_version is not None})
+        versions = sorted({v for v in (member.window.track_version for member in windows) if v is not None})
         used = [self.unit.tracks.alignment(cell.rail.section, version) for version in versions]
         # without the mean of the gauge deviation: what a section's gauge does belongs to its rails
         tracks = [
@@ -209,12 +210,12 @@ class _CellReader:
         return CellWindows(table, bins, geometry, max((track.scale_std for track in tracks), default=0.0))
 
 
-def _by_rail(found: Sequence[Member], period_days: float) -> dict[RailKey, list[Member]]:
+def _by_rail(members: Sequence[Member], period_days: float) -> dict[RailKey, list[Member]]:
     """Return the windows, oldest first, by section and period."""
     by_rail: defaultdict[RailKey, list[Member]] = defaultdict(list)
-    for one in found:
-        record = one.window.record
+    for member in members:
+        record = member.window.record
         if record.track_section is not None:
             period = int(record.start_ns // (period_days * DAY_NS))
-            by_rail[RailKey(record.track_section, period)].append(one)
+            by_rail[RailKey(record.track_section, period)].append(member)
     return by_rail

@@ -62,26 +62,26 @@ class EntryReader:
     _damaged: dict[str, DamagedError] = field(default_factory=dict)
     _contacts: dict[tuple[str, int, RailShare], tuple[float, float] | None] = field(default_factory=dict)
 
-    def read_ahead(self, known: Sequence[KnownSignatures], others: Iterable[str]) -> None:
+    def read_ahead(self, signatures: Sequence[KnownSignatures], others: Iterable[str]) -> None:
         """Read together what is asked for one wheelset after the other; where something is damaged, that one fails."""
-        serials = sorted({one.found.wheelset for one in known}.union(others))
-        self.classes.look_up(serials, {one.found.vehicle for one in known})
+        serials = sorted({window.found.wheelset for window in signatures}.union(others))
+        self.classes.look_up(serials, {window.found.vehicle for window in signatures})
         self.unit.registry.mountings_of(serials)
         for read in (self.unit.registry.measured_profiles_of, self.unit.geometries.read_ahead):
             with suppress(DamagedError):
                 read(serials)
 
-    def entries(self, known: Sequence[KnownSignatures]) -> Entries:
+    def entries(self, signatures: Sequence[KnownSignatures]) -> Entries:
         """Return the library entries that signatures make, the newest of each wheelset, place and band of speed."""
         doubted, left_out = frozenset(with_identity_alerts(self.unit)), Counter[ReasonCode]()
         newest: dict[tuple[str, int, Place, int], LibraryEntry] = {}
-        for one in known:
-            wheelset = one.found.wheelset
-            found = ReasonCode.IDENTITY_DOUBTFUL if wheelset in doubted else self._taught(one)
-            if isinstance(found, ReasonCode):
-                left_out[found] += 1
+        for window in signatures:
+            wheelset = window.found.wheelset
+            entries = ReasonCode.IDENTITY_DOUBTFUL if wheelset in doubted else self._taught(window)
+            if isinstance(entries, ReasonCode):
+                left_out[entries] += 1
                 continue
-            for entry in found:
+            for entry in entries:
                 place = entry.signature.place
                 if place is not None:
                     newest[
@@ -89,22 +89,22 @@ class EntryReader:
                     ] = entry
         return Entries(tuple(newest.values()), left_out, dict(self._damaged))
 
-    def _taught(self, one: KnownSignatures) -> list[LibraryEntry] | ReasonCode:
+    def _taught(self, window: KnownSignatures) -> list[LibraryEntry] | ReasonCode:
         """Return the entries that a window makes, or why it makes none; what is damaged takes out its wheelset."""
-        wheelset = one.found.wheelset
+        wheelset = window.found.wheelset
         if wheelset in self._damaged:
             return ReasonCode.FILE_DAMAGED
         try:
-            baseline, section = self.baseline_at(wheelset, one.found.start_ns).number, self._section(one)
-            label = None if section is None else self._label(one, baseline, section)
+            baseline, section = self.baseline_at(wheelset, window.found.start_ns).number, self._section(window)
+            label = None if section is None else self._label(window, baseline, section)
         except DamagedError as error:
             self._damaged[wheelset] = error
             return ReasonCode.FILE_DAMAGED
         if label is None or isinstance(label, ReasonCode):
             return label or ReasonCode.SECTION_UNKNOWN
         conicity, std, source = label
-        shared, pair = self.sharing(one), self.pair(one)
-        return [LibraryEntry(item, baseline, conicity, std, source, shared, pair) for item in one.found.signatures]
+        shared, pair = self.sharing(window), self.pair(window)
+        return [LibraryEntry(item, baseline, conicity, std, source, shared, pair) for item in window.found.signatures]
 
     def baseline_at(self, wheelset: str, at_ns: int) -> Baseline:
         """Return the life of a wheelset's profile at a time."""
@@ -116,25 +116,26 @@ class EntryReader:
             self._baselines[wheelset] = baselines(self.classes.wheelset(wheelset))
         return self._baselines[wheelset]
 
-    def sharing(self, one: KnownSignatures) -> tuple[str, ...]:
+    def sharing(self, window: KnownSignatures) -> tuple[str, ...]:
         """Return the wheelsets whose samples are in a window's signatures: its own, and the other of its bogie."""
-        found, on_file = one.found, self.classes.of_vehicle(one.found.vehicle)
-        there = (m for m in self.unit.registry.mountings(found.wheelset) if m.vehicle == found.vehicle)
-        mounting = next((mounting for mounting in there if mounting.covers(found.start_ns)), None)
+        wheelset, vehicle, start_ns = window.found.wheelset, window.found.vehicle, window.found.start_ns
+        on_file = self.classes.of_vehicle(vehicle)
+        there = (m for m in self.unit.registry.mountings(wheelset) if m.vehicle == vehicle)
+        mounting = next((mounting for mounting in there if mounting.covers(start_ns)), None)
         if isinstance(on_file, Reason) or mounting is None:
-            return (found.wheelset,)
+            return (wheelset,)
         partner = on_file.vehicle_class.partner(mounting.axle)
-        other = None if partner is None else self.unit.registry.mounting_at(found.vehicle, partner, found.start_ns)
-        return (found.wheelset,) if other is None else (found.wheelset, other.wheelset)
+        other = None if partner is None else self.unit.registry.mounting_at(vehicle, partner, start_ns)
+        return (wheelset,) if other is None else (wheelset, other.wheelset)
 
-    def pair(self, one: KnownSignatures) -> DesignPair:
+    def pair(self, window: KnownSignatures) -> DesignPair:
         """Return the design profiles of wheels and rails that a window ran on."""
-        section = self._section(one)
+        section = self._section(window)
         rail = None if section is None else f"{section.rail_profile} {section.rail_inclination:.6f}"
-        return DesignPair(self.classes.wheelset(one.found.wheelset).wheel_profile, rail)
+        return DesignPair(self.classes.wheelset(window.found.wheelset).wheel_profile, rail)
 
-    def _section(self, one: KnownSignatures) -> TrackSectionRecord | None:
-        place = one.found.signatures[0].place
+    def _section(self, window: KnownSignatures) -> TrackSectionRecord | None:
+        place = window.found.signatures[0].place
         if place is None:
             return None
         if not self._sections:
@@ -142,33 +143,33 @@ class EntryReader:
         return self._sections.get(place.section)
 
     def _label(
-        self, one: KnownSignatures, baseline: int, section: TrackSectionRecord
+        self, window: KnownSignatures, baseline: int, section: TrackSectionRecord
     ) -> tuple[float, float, ConicitySource] | ReasonCode:
         """Return conicity, std and source; or why it is not known well enough."""
-        measured, turned = self._of_measurement(one, baseline, section)
+        measured, turned = self._of_measurement(window, baseline, section)
         if measured is not None:
             return (*measured, ConicitySource.MEASURED_PROFILES)
         far_km = self.parameters.most_mileage_km
-        labels = self._estimates(one.found.wheelset, baseline)
-        near = [label.at(one.mileage_km) for label in labels if abs(label.mileage_km - one.mileage_km) <= far_km]
+        labels = self._estimates(window.found.wheelset, baseline)
+        near = [label.at(window.mileage_km) for label in labels if abs(label.mileage_km - window.mileage_km) <= far_km]
         best = min(near, key=lambda label: label[1], default=None)
         if best is not None and best[1] <= self.parameters.most_std:
             return (*best, ConicitySource.GEOMETRY)
         return ReasonCode.WHEELSET_TURNED if turned else ReasonCode.NO_CONICITY
 
     def _of_measurement(
-        self, one: KnownSignatures, baseline: int, section: TrackSectionRecord
+        self, window: KnownSignatures, baseline: int, section: TrackSectionRecord
     ) -> tuple[tuple[float, float] | None, bool]:
         """Return conicity and std by the nearest measurement of the same profile; and whether one is of another."""
-        wheelset = one.found.wheelset
+        wheelset = window.found.wheelset
         measured, far_km = self.unit.registry.measured_profiles(wheelset), self.parameters.most_mileage_km
-        near = [item for item in measured if abs(item.mileage_km - one.mileage_km) <= far_km]
+        near = [item for item in measured if abs(item.mileage_km - window.mileage_km) <= far_km]
         same = [item for item in near if self.baseline_at(wheelset, item.at_ns).number == baseline]
-        rails = RailShare(section.rail_profile, section.rail_inclination, section.nominal_gauge_m, 1.0)
-        for item in sorted(same, key=lambda item: abs(item.mileage_km - one.mileage_km)):
+        rails = RailShare.of(section)
+        for item in sorted(same, key=lambda item: abs(item.mileage_km - window.mileage_km)):
             contact = self._contact(item, self.classes.wheelset(wheelset), rails)
             if contact is not None:
-                return _Label(item.mileage_km, *contact).at(one.mileage_km), False
+                return _Label(item.mileage_km, *contact).at(window.mileage_km), False
         return None, len(near) > len(same)
 
     def _contact(
@@ -200,15 +201,15 @@ class EntryReader:
         return self._labels[key]
 
 
-def at_limit(known: Sequence[KnownConicity]) -> tuple[float, float] | None:
+def at_limit(points: Sequence[KnownConicity]) -> tuple[float, float] | None:
     """Return conicity and std at 3 mm, extrapolated where the motion does not go as far; None where neither is known.
 
     Args:
-        known: Of one interval, in the order of their amplitudes.
+        points: Of one interval, in the order of their amplitudes.
     """
-    for point in known:
+    for point in points:
         if abs(point.amplitude - LIMIT_AMPLITUDE) < SAME_AMPLITUDE:
             return point.value, point.std
-    below = [point for point in known if point.amplitude < LIMIT_AMPLITUDE]
+    below = [point for point in points if point.amplitude < LIMIT_AMPLITUDE]
     estimate = extrapolated(below) if below else None
     return None if estimate is None else (estimate.value, estimate.std)

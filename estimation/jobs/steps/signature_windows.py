@@ -35,18 +35,18 @@ def load_assumptions(
     """Return vehicle and digest of what the signatures of some wheelsets rest on there, where its class is on file."""
     expected = _Expected.of(unit, context)
     expected.classes.look_up(serials)
-    found: dict[str, tuple[tuple[str, str], ...]] = {}
+    expected_of: dict[str, tuple[tuple[str, str], ...]] = {}
     for wheelset, vehicle in unit.signatures.vehicles(serials):
         if digest := expected.digest(vehicle, wheelset):
-            found[wheelset] = (*found.get(wheelset, ()), (vehicle, digest))
-    return found
+            expected_of[wheelset] = (*expected_of.get(wheelset, ()), (vehicle, digest))
+    return expected_of
 
 
 def list_other(
-    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[tuple[tuple[str, str], ...] | None, Outcome[None]]]
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[tuple[tuple[str, str], ...], Outcome[None]]]
 ) -> Mapping[str, int]:
     """List the windows whose signatures were made with other assumptions, or that waited for their class."""
-    unit.signatures.list_other([(wheelset, *one) for wheelset, (own, _) in made.items() for one in own or ()])
+    unit.signatures.list_other([(serial, *expected) for serial, (listed, _) in made.items() for expected in listed])
     return {}
 
 
@@ -99,11 +99,11 @@ def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> 
     """Return windows with their samples; those that are gone, or have signatures of what they are now, are left out."""
     windows = [key_of_text(key) for key in keys]
     made_of, expected = unit.signatures.made_of(windows), _Expected.of(unit, context)
-    records = sorted(unit.windows.several(windows), key=lambda one: (one.vehicle, one.start_ns, one.axle))
-    expected.classes.look_up([one.wheelset for one in records], {one.vehicle for one in records})
+    records = sorted(unit.windows.several(windows), key=lambda record: (record.vehicle, record.start_ns, record.axle))
+    expected.classes.look_up([record.wheelset for record in records], {record.vehicle for record in records})
     loader = WindowLoader(unit, {record.key: record for record in records})
     inputs = {}
-    for record in (one for one in records if not one.samples_purged):
+    for record in (record for record in records if not record.samples_purged):
         assumed, before = expected.classes.assumed(record.vehicle, record.wheelset), made_of.get(record.key)
         digest = expected.digest(record.vehicle, record.wheelset)
         is_same = before is not None and (before.window_digest, before.assumed) == (record.content_digest, digest)
@@ -154,16 +154,16 @@ def _signatures(inputs: WindowInputs, window: Window, made_with: WindowParameter
 
 
 def store_windows(
-    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[WindowInputs | None, Outcome[WindowSignatures]]]
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[WindowInputs, Outcome[WindowSignatures]]]
 ) -> Mapping[str, int]:
     """Store signatures of windows that have the same samples still; return how many are made again."""
-    found = [part.value for _, outcome in made.values() for part in outcome.parts if part.value is not None]
-    if not found:
+    signed = [part.value for _, outcome in made.values() for part in outcome.parts if part.value is not None]
+    if not signed:
         return {}
-    keys = [(one.wheelset, one.start_ns) for one in found]
+    keys = [(window.wheelset, window.start_ns) for window in signed]
     now = {record.key: record.content_digest for record in unit.windows.several(keys, held=True)}
-    unit.signatures.put_all([one for one in found if now.get((one.wheelset, one.start_ns)) == one.window_digest])
-    return {"made_again": sum(inputs is not None and inputs.again for inputs, _ in made.values())}
+    unit.signatures.put_all([w for w in signed if now.get((w.wheelset, w.start_ns)) == w.window_digest])
+    return {"made_again": sum(inputs.again for inputs, _ in made.values())}
 
 
 ASSUMED = Stage(
@@ -193,20 +193,20 @@ OF_WINDOWS = Stage(
 
 
 def usable(
-    unit: UnitOfWork, context: JobContext, known: Sequence[KnownSignatures]
+    unit: UnitOfWork, context: JobContext, signatures: Sequence[KnownSignatures]
 ) -> tuple[list[KnownSignatures], Counter[ReasonCode]]:
     """Return the signatures that are made as they would be now and are finite, and how many windows have none.
 
     Those that were made otherwise and whose samples are purged cannot be made again: their places may be others.
     """
-    expected, found, left_out = _Expected.of(unit, context), [], Counter[ReasonCode]()
-    expected.classes.look_up([one.found.wheelset for one in known], {one.found.vehicle for one in known})
-    for one in known:
-        finite = tuple(item for item in one.found.signatures if item.finite)
-        if expected.digest(one.found.vehicle, one.found.wheelset) != one.found.assumed:
+    expected, standing, left_out = _Expected.of(unit, context), [], Counter[ReasonCode]()
+    expected.classes.look_up([w.found.wheelset for w in signatures], {w.found.vehicle for w in signatures})
+    for window in signatures:
+        finite = tuple(item for item in window.found.signatures if item.finite)
+        if expected.digest(window.found.vehicle, window.found.wheelset) != window.found.assumed:
             left_out[ReasonCode.SAMPLES_PURGED] += 1
         elif not finite:
             left_out[ReasonCode.NOT_FINITE] += 1
         else:
-            found.append(replace(one, found=replace(one.found, signatures=finite)))
-    return found, left_out
+            standing.append(replace(window, found=replace(window.found, signatures=finite)))
+    return standing, left_out

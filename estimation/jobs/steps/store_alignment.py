@@ -58,7 +58,7 @@ def store_epoch(
     """
     due, section = computed.due, computed.due.section.code
     after = _after(unit, computed, context)
-    found = _report(unit, computed, after.version, context)
+    report = _report(unit, computed, after.version, context)
     epoch = TrackEpoch(
         section=section,
         number=due.number,
@@ -69,7 +69,7 @@ def store_epoch(
         waits=computed.update.outcome.windows_wait,
         after=after,
         estimated_on=_estimated_on(computed, after),
-        report=found,
+        report=report,
         recorded_ns=context.clock.now_ns(),
     )
     behind = due.old is None or due.old.after != after  # the epochs behind it start from something else
@@ -99,15 +99,15 @@ def _store_suspensions(unit: UnitOfWork, epoch: TrackEpoch, computed: Computed, 
     if iterated is None or not update.estimate.report.converged or update.outcome.windows_wait:
         return
     for code, ratio in sorted(iterated.ratios.items()):
-        own = [record for record in records if record.vehicle == code]
-        if not own or code not in computed.classes or not 0.0 < ratio.std <= JOBS.learnt_std_share * PRIOR_STD:
+        windows = [record for record in records if record.vehicle == code]
+        if not windows or code not in computed.classes or not 0.0 < ratio.std <= JOBS.learnt_std_share * PRIOR_STD:
             continue
         vehicle = computed.classes[code].vehicle_class.parameters
         finding = SuspensionFinding(
             vehicle=code,
             section=epoch.section,
-            from_ns=min(record.start_ns for record in own),
-            to_ns=max(record.start_ns + record.length_ns for record in own),
+            from_ns=min(record.start_ns for record in windows),
+            to_ns=max(record.start_ns + record.length_ns for record in windows),
             ratio=ratio.value,
             ratio_std=ratio.std,
             assumed=vehicle.yaw_stiffness / vehicle.longitudinal_creep_coefficient,
@@ -170,10 +170,10 @@ def _estimated_on(computed: Computed, after: FoldState) -> int | None:
     Then an epoch that is computed again with windows that have come does not change those that had. What the gauge does
     to a wheelset changes on the lathe, and is always that of its own epoch.
     """
-    before, found = computed.due.before, computed.update.alignment
+    before, alignment = computed.due.before, computed.update.alignment
     if before.version is None or after.same_since != before.same_since:
         return after.version
-    moved_by_gauge = found is not None and found.findings is not None and bool(found.findings.gauge_shifts)
+    moved_by_gauge = alignment is not None and alignment.findings is not None and bool(alignment.findings.gauge_shifts)
     return after.version if moved_by_gauge else before.version
 
 
@@ -181,9 +181,9 @@ def _of_vehicles(
     unit: UnitOfWork, computed: Computed, after: FoldState, settings: AlignmentSettings
 ) -> FoundOfVehicles | None:
     """Return which vehicles' windows are to be estimated on a version that is no other for the rest; None for none."""
-    due, found = computed.due, computed.update.alignment
+    due, alignment = computed.due, computed.update.alignment
     before = due.before
-    if after.version is None or after.version == before.version or found is None:
+    if after.version is None or after.version == before.version or alignment is None:
         return None
     if before.same_since is None or after.same_since != before.same_since:
         return None
@@ -191,7 +191,7 @@ def _of_vehicles(
     assert base is not None
     vehicles = {record.wheelset: record.vehicle for record, _ in due.entries}
     since = unit.epochs.found(due.section.code, due.number, before.same_since)
-    changed = changed_vehicles(base, found, settings, vehicles, since, computed.before)
+    changed = changed_vehicles(base, alignment, settings, vehicles, since, computed.before)
     return FoundOfVehicles(after.version, changed) if changed else None
 
 
@@ -205,10 +205,10 @@ def _supersede(unit: UnitOfWork, due: Due, after: FoldState, context: JobContext
 
 def _report(unit: UnitOfWork, computed: Computed, version: int | None, context: JobContext) -> int:
     update, refused = computed.update, computed.parts[0].passes.refused
-    found = update.estimate.report
+    report = update.estimate.report
     survey = update.survey or computed.due.before.survey
     extra: dict[str, JsonValue] = {
-        "evidence": [*found.evidence, *computed.notes],
+        "evidence": [*report.evidence, *computed.notes],
         "recording": text_of(survey),
         "recording_code": code_of(survey),
         "refused_windows": _counted([reason.text for reason in refused.values()]),
@@ -220,12 +220,12 @@ def _report(unit: UnitOfWork, computed: Computed, version: int | None, context: 
             section=computed.due.section.code,
             version=version,
             made=update.outcome.makes_version,
-            status=found.status,
-            reason=found.reason,
+            status=report.status,
+            reason=report.reason,
             windows=len(computed.due.entries),
             input_digest=computed.due.digest,
             code_version=context.code_version,
-            report=dict(found.as_json()) | extra,
+            report=dict(report.as_json()) | extra,
             recorded_ns=context.clock.now_ns(),
         )
     )
@@ -235,13 +235,13 @@ def classes_of(classes: ClassLookup, records: Sequence[WindowRecord]) -> dict[st
     """Return the class of each vehicle of windows, where it is on file."""
     vehicles = sorted({record.vehicle for record in records})
     classes.look_up((), vehicles)
-    found = {vehicle: classes.of_vehicle(vehicle) for vehicle in vehicles}
-    return {vehicle: one for vehicle, one in found.items() if not isinstance(one, Reason)}
+    on_file = {vehicle: classes.of_vehicle(vehicle) for vehicle in vehicles}
+    return {vehicle: of_class for vehicle, of_class in on_file.items() if not isinstance(of_class, Reason)}
 
 
 def _provenance(classes: Mapping[str, ClassOnFile]) -> JsonValue:
     by_code = {on_file.vehicle_class.code: on_file for on_file in classes.values()}
-    return {code: {"version": one.version, "digest": one.digest} for code, one in sorted(by_code.items())}
+    return {code: {"version": stored.version, "digest": stored.digest} for code, stored in sorted(by_code.items())}
 
 
 def _counted(reasons: Sequence[str]) -> JsonValue:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from operator import attrgetter
 from typing import TypeVar
 
 import numpy as np
@@ -49,8 +50,8 @@ def facts_of(unit: UnitOfWork, serials: Sequence[str], settings: JobSettings) ->
     """Return what the rules need of some wheelsets, by serial: few statements for all."""
     read = _Read.of(unit, serials, settings)
     histories = {wheelset.serial: _history(read, wheelset) for wheelset in read.wheelsets}
-    wanted = {serial: _looked_at(known, read.books[serial]) for serial, known in histories.items() if known}
-    spans = {serial: (known[0].baseline, *_span(known)) for serial, known in wanted.items()}
+    wanted = {serial: _looked_at(intervals, read.books[serial]) for serial, intervals in histories.items() if intervals}
+    spans = {serial: (intervals[0].baseline, *_span(intervals)) for serial, intervals in wanted.items()}
     unit.geometries.read_intervals(spans)
     return {
         wheelset.serial: _facts(unit, read, wheelset, histories[wheelset.serial], wanted.get(wheelset.serial, ()))
@@ -88,7 +89,7 @@ class _Read:
         wheelsets = unit.registry.wheelsets_of(serials)
         codes = sorted({wheelset.mounting.vehicle for wheelset in wheelsets if wheelset.mounting is not None})
         vehicles, mounted = unit.registry.vehicles_of(codes), _by(unit.registry.mounted_on(codes), lambda m: m.vehicle)
-        places = {code: [mounting.wheelset for mounting in own] for code, own in mounted.items()}
+        places = {code: [mounting.wheelset for mounting in mountings] for code, mountings in mounted.items()}
         books = {wheelset.serial: _book(settings.rules, wheelset, vehicles) for wheelset in wheelsets}
         unit.geometries.read_with(RESULTS, dict.fromkeys([*serials, *codes]))
         trends = unit.trends.of(serials)
@@ -107,8 +108,8 @@ class _Read:
             steps=steps,
             rails=rails_of(unit.tracks.sections()) if steps else frozenset(),
             changes=identity_changes(unit, serials),
-            identities={one.subject: one.value for one in results.in_force(IDENTITY_EVENT, serials) if one.value},
-            suspensions={one.subject: one.value for one in results.in_force(SUSPENSION, codes) if one.value},
+            identities={r.subject: r.value for r in results.in_force(IDENTITY_EVENT, serials) if r.value},
+            suspensions={r.subject: r.value for r in results.in_force(SUSPENSION, codes) if r.value},
             windows=_latest_windows(unit, books),
             dampers={(damper.vehicle, damper.first_axle): damper for damper in unit.dampers.of_vehicles(codes)},
             measured=unit.registry.newest_measurement_of(serials),
@@ -136,23 +137,23 @@ def _steps_beside(
     trends: Mapping[str, TrendRecord],
 ) -> Mapping[str, Sequence[TrendStep | None]]:
     """Return the steps of the trends beside wheelsets whose own trend has a step, by serial."""
-    own = [wheelset for wheelset in wheelsets if step_of(trends.get(wheelset.serial), wheelset) is not None]
+    stepped = [wheelset for wheelset in wheelsets if step_of(trends.get(wheelset.serial), wheelset) is not None]
     beside = {
-        one.serial: sorted(other for other in mounted[one.mounting.vehicle] if other != one.serial)
-        for one in own
-        if one.mounting is not None
+        record.serial: sorted(other for other in mounted[record.mounting.vehicle] if other != record.serial)
+        for record in stepped
+        if record.mounting is not None
     }
     others = sorted({serial for serials in beside.values() for serial in serials})
     if not others:
         return dict.fromkeys(beside, ())
     stored, on_file = unit.trends.of(others), {item.serial: item for item in unit.registry.wheelsets_of(others)}
     return {
-        one.serial: [
+        record.serial: [
             step_of(stored[serial], on_file[serial])
-            for serial in beside.get(one.serial, ())
-            if serial in stored and on_file[serial].fleet == one.fleet
+            for serial in beside.get(record.serial, ())
+            if serial in stored and on_file[serial].fleet == record.fleet
         ]
-        for one in own
+        for record in stepped
     }
 
 
@@ -219,8 +220,9 @@ def _history(read: _Read, wheelset: WheelsetRecord) -> Sequence[IntervalConiciti
     serial, mounting = wheelset.serial, wheelset.mounting
     if mounting is None:
         return ()
-    known = since_change(read.conicities[serial], read.changes.get(serial))
-    held = sorted((one for one in known if one.windows and one.to_ns > mounting.from_ns), key=lambda one: one.to_ns)
+    intervals = since_change(read.conicities[serial], read.changes.get(serial))
+    with_data = (entry for entry in intervals if entry.windows and entry.to_ns > mounting.from_ns)
+    held = sorted(with_data, key=attrgetter("to_ns"))
     return behind_step(held, step_of(read.trends.get(serial), wheelset))
 
 
@@ -240,9 +242,9 @@ def _geometries(unit: UnitOfWork, serial: str, wanted: Sequence[IntervalConiciti
     if not wanted:
         return ()
     first, last = _span(wanted)
-    found = unit.geometries.intervals(serial, wanted[0].baseline, first=first, last=last)
-    by_number = {record.interval: record for record in found}
-    return [by_number[one.interval] for one in wanted if one.interval is not None]
+    records = unit.geometries.intervals(serial, wanted[0].baseline, first=first, last=last)
+    by_number = {record.interval: record for record in records}
+    return [by_number[entry.interval] for entry in wanted if entry.interval is not None]
 
 
 def windows_wanted(book: RuleBook) -> tuple[int, float]:
@@ -265,8 +267,8 @@ def _latest_windows(
         for serial, (least, far_km) in list(wanted.items()):
             windows = read.get(serial, ())
             mileages = [None if window.implausible else window.mileage_km for window in windows]
-            known, newest = [at for at in mileages if at is not None], newest_mileage(windows)
-            as_far = newest is not None and (far_km <= 0.0 or known[0] < known[-1] - far_km)
+            believed, newest = [at for at in mileages if at is not None], newest_mileage(windows)
+            as_far = newest is not None and (far_km <= 0.0 or believed[0] < believed[-1] - far_km)
             if as_far or len(windows) < count:
                 latest[serial] = windows[-within_reach(mileages, least, far_km) :] if windows else (), newest
                 del wanted[serial]
@@ -292,20 +294,21 @@ def surroundings(
     rails: Collection[RailShare],
 ) -> StepSurroundings:
     """Return what is known about the time of a step: the design of the wheel, and trends of wheelsets ``beside`` it."""
-    newest = max(behind, key=lambda one: one.to_ns, default=None)
+    newest = max(behind, key=lambda record: record.to_ns, default=None)
     return StepSurroundings(() if newest is None else newest.known, _designed(wheelset, rails), tuple(beside))
 
 
 def rails_of(sections: Iterable[TrackSectionRecord]) -> frozenset[RailShare]:
     """Return the kinds of rails that there are."""
-    return frozenset(RailShare(s.rail_profile, s.rail_inclination, s.nominal_gauge_m, 1.0) for s in sections)
+    return frozenset(map(RailShare.of, sections))
 
 
 def _designed(wheelset: WheelsetRecord, rails: Collection[RailShare]) -> Mapping[float, float] | None:
     if len(rails) != 1:
         return None  # on several kinds of rails no one conicity is that of the design
-    found = _conicities(wheelset.wheel_profile, wheelset.nominal_radius_m, next(iter(rails)))
-    return {at: value for at, value in zip(JOBS.design_amplitudes, found, strict=True) if np.isfinite(value)} or None
+    conicities = _conicities(wheelset.wheel_profile, wheelset.nominal_radius_m, next(iter(rails)))
+    by_amplitude = zip(JOBS.design_amplitudes, conicities, strict=True)
+    return {amplitude: value for amplitude, value in by_amplitude if np.isfinite(value)} or None
 
 
 @lru_cache(64)
