@@ -16,7 +16,7 @@ from itertools import islice
 import numpy as np
 
 from api.reproduction import ideal_motion
-from bench.report import BenchRow, RowBench
+from bench.report import BenchRow, row_bench
 from bench.worn_family import PAIRS, USUAL_CONICITY, wheelsets
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve, refined_curve
@@ -273,6 +273,6 @@ def _percent(error: FloatArray, true: FloatArray, *, with_interval: bool) -> str
     return text + (" (half width " + " / ".join(f"{one:.1f}" for one in half) + ")" if with_interval else "")
 
 
-main = RowBench(
-    "en15302", "Conicity of wheelsets in motion against EN 15302", __doc__ or "", lambda _options, _folder: rows()
+main = row_bench(
+    "en15302", "Conicity of wheelsets in motion against EN 15302", __doc__, lambda _options, _folder: rows()
 ).run

@@ -19,7 +19,7 @@ import sys
 import time
 import urllib.parse
 import urllib.request
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -29,8 +29,8 @@ import numpy as np
 
 from api.factory import open_store
 from api.settings import Settings
-from bench.api import WORKERS, filled_database, served
-from bench.report import BenchRow, ResultTable, ended, say
+from bench.report import Bench, BenchRow, Part, ResultTable, say
+from bench.served import WORKERS, filled_database, served
 from bench.services import DATABASES, until
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity
 from estimation.values.registry import FleetRecord, WheelsetRecord
@@ -69,19 +69,13 @@ class Service:
         return ["-m", "bench.feed", "poll", self.url, self.key, str(file)]
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run both; return 1 where one falls short."""
-    parser = argparse.ArgumentParser("python -m bench feed", description=__doc__)
-    parser.add_argument("--databases", nargs="+", default=list(DATABASES), choices=DATABASES)
-    parser.add_argument("--write-docs", action="store_true", help="write docs/results/feed.md")
-    options = parser.parse_args(arguments)
+def _parts(options: argparse.Namespace, _folder: Path) -> Iterator[Part]:
     rows = []
     for database in options.databases:
         for row in _of(database):
             say(f"{database}: {row.what}: {row.measured}")
             rows.append((database, *row.cells))
-    command = "python -m bench feed --write-docs" if options.write_docs else None
-    return ended([ResultTable(COLUMNS, rows)], "feed", "The feed", command)
+    yield ResultTable(COLUMNS, rows)
 
 
 def _of(database: str) -> Iterator[BenchRow]:
@@ -259,6 +253,10 @@ def _poll(url: str, key: str, file: Path) -> None:
         line = {"notes": [item["note"] for item in page["items"]], "cursor": cursor}
         os.write(handle, json.dumps(line).encode() + b"\n")
 
+
+main = Bench(
+    "feed", "The feed", __doc__ or "", _parts, {"databases": (list(DATABASES), "that are used", DATABASES)}
+).run
 
 if __name__ == "__main__":
     if sys.argv[1] == "write":

@@ -7,6 +7,7 @@ contact. The window is judged as ingest judges it. Constants were chosen on seed
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.report import BenchRow, ResultTable, ended, options_of, row_table
+from bench.report import Bench, BenchRow, Part, ResultTable, row_table
 from estimation.motion.hunting import find_hunting
 from estimation.motion.without_blows import blows_unless_hunting
 from estimation.values.arrays import FloatArray
@@ -151,8 +152,6 @@ def _measured(scenario: Scenario, motion: WheelsetMotion, vibration: float, rng:
     return np.clip(record.values[: round(WINDOW_S / STEP / scenario.sensors.stride)], -RANGE, RANGE)
 
 
-TITLE = "Wheel flats"
-OPTIONS = {"wheelsets": (320, "windows of wheelsets"), "first-seed": (200, "seeds go up from here")}
 HEADER = (
     "blows at 20 m/s",
     *(f"vibration {one:g} m/s2" for one in VIBRATIONS),
@@ -214,15 +213,22 @@ def _share(windows: Sequence[Judged]) -> str:
     return f"{sum(one.found for one in windows)} of {len(windows)}"
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run what was asked for; return 1 when a row falls short."""
-    options = options_of("flats", __doc__ or "", OPTIONS, arguments)
+def _parts(options: argparse.Namespace, _folder: Path) -> Iterator[Part]:
     found, seed = list[Judged](), options.first_seed
     while len({one.window for one in found}) < options.wheelsets:
         with suppress(DerailmentError):  # a drawn wheelset that climbs its rail at the drawn speed is no case
             found += list(judged_windows(seed))
         seed += 1
     sizes = [_line(size, [one for one in found if one.what == "flat" and one.size == size]) for size in SIZES]
-    parts = [EXPLANATION, ResultTable(HEADER, sizes, range(1, 7)), row_table(bench_rows(found))]
-    command = f"python -m bench flats --wheelsets {options.wheelsets} --write-docs" if options.write_docs else None
-    return ended(parts, "flats", TITLE, command)
+    yield EXPLANATION
+    yield ResultTable(HEADER, sizes, range(1, 7))
+    yield row_table(bench_rows(found))
+
+
+main = Bench(
+    "flats",
+    "Wheel flats",
+    __doc__ or "",
+    _parts,
+    {"wheelsets": (320, "windows of wheelsets"), "first-seed": (200, "seeds go up from here")},
+).run

@@ -8,11 +8,13 @@ do not depend on it.
 
 from __future__ import annotations
 
+import argparse
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,8 +23,9 @@ import numpy as np
 
 from api.comparison.study import TrueWheelset, read_truth
 from api.comparison.trial import ESTIMATION, deploy, opened, receive, record, run_jobs
+from bench.report import share_of
 from bench.scores import Compared, compared, compared_at
-from bench.study import Case
+from bench.study import Case, Key, in_processes
 from estimation.accuracy.fleet_accuracy import curve_origin
 from estimation.filters import high_pass, local_cubic_kernel
 from estimation.motion.window_motion import deconvolved
@@ -302,6 +305,11 @@ class Conicities:
         return f"{np.median(self.errors):.4f} / {self.p95:.4f}" if self.errors else "none"
 
     @property
+    def cover(self) -> str:
+        """Share of the intervals that cover in words."""
+        return share_of(self.covered, self.published)
+
+    @property
     def width(self) -> str:
         """Median half width in words."""
         return f"{np.median(self.widths):.3f}" if self.widths else ""
@@ -322,6 +330,20 @@ def summary_line(case: Case) -> str:
     line += f"{', '.join(codes) or 'no reason'}, {case['survey'] or 'no survey'}, "
     cost = sum(case["cpu_s"]) / case["wheelset_hours"]
     return f"{line}{cost:.1f} s/h, {case['seconds']:.0f} s {case['reason'][:60]}"
+
+
+def fleet_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a study of fleets."""
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument("--keep", type=Path, default=None, help="folder that keeps recordings (150 MB each)")
+
+
+def cases_of(
+    work: Callable[..., Case], options: argparse.Namespace, done: Collection[Key], rows: Sequence[str]
+) -> Iterator[Case | None]:
+    """Yield what ``work`` returns for each row and seed that is not done."""
+    tasks = [(row, seed) for seed in options.seeds for row in rows if (row, seed) not in done]
+    yield from in_processes(partial(work, keep=options.keep), tasks, options.workers)
 
 
 def by_row(cases: Sequence[Case], rows: Sequence[str] | Mapping[str, Any]) -> dict[str, list[Case]]:

@@ -6,10 +6,6 @@ product lines, modules; bench lines
     Of the Python files of the four packages; of ``bench``.
 loose modules
     Files directly in ``estimation/`` but ``__init__.py``.
-import cycles
-    Of every package, the groups of its children that import each other in a circle, at any depth.
-arrows against the layers
-    Direct imports from a lower layer to a higher one, by the layers contracts of ``pyproject.toml``.
 long functions, complex functions
     Functions of the four packages of more than 50 lines without their docstring; functions anywhere in the repository
     of cyclomatic complexity over 10 by ruff, suppressed or not. Migrations are history and not counted.
@@ -43,19 +39,14 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import grimp
-import numpy as np
 from rich.console import Console
 from rich.table import Table
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from bench.digests import command, environment_of, simulate
 from bench.loose_constants import loose_constants
@@ -147,9 +138,6 @@ def static_counts(root: Path) -> Iterator[Count]:
     yield Count("bench lines", "18079", str(lines), "<= 12000")
     loose = tuple(sorted(path.name for path in (root / "estimation").glob("*.py") if path.name != "__init__.py"))
     yield Count("modules loose at the top of estimation/", "33", str(len(loose)), "<= 6", loose)
-    cycles, arrows = import_faults(root)
-    yield Count("import cycles", "2", str(len(cycles)), "0", cycles)
-    yield Count("arrows against the layers", "3", str(len(arrows)), "0", arrows)
     long = tuple(long_functions(root))
     yield Count(f"functions over {SCREEN} lines", "0", str(len(long)), "0", long)
     found = tuple(complex_functions(root))
@@ -174,62 +162,6 @@ def _sources(root: Path, folders: Iterable[str] = PACKAGES) -> Iterator[tuple[st
             if MIGRATIONS in path.parts:
                 continue
             yield path.relative_to(root).as_posix(), path.read_text(encoding="utf-8")
-
-
-def import_faults(root: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the cycles among the children of every package, and the imports against the layers, at run time."""
-    sys.path.insert(0, str(root))
-    try:
-        graph = grimp.build_graph(*PACKAGES, cache_dir=None, exclude_type_checking_imports=True)
-    finally:
-        sys.path.remove(str(root))
-    imports = [(one, other) for one in sorted(graph.modules) for other in graph.find_modules_directly_imported_by(one)]
-    cycles = []
-    for package in sorted({"", *(module.rpartition(".")[0] for module in graph.modules)}):
-        cycles += [f"{package or '(packages)'}: {', '.join(group)}" for group in _circles(package, imports)]
-    return tuple(cycles), tuple(_upward(root, imports))
-
-
-def _child(module: str, package: str) -> str | None:
-    """Return the name of the package's child that holds a module; None outside the package and for itself."""
-    if not package:
-        return module.partition(".")[0]
-    inside = module.removeprefix(f"{package}.")
-    return None if inside == module else inside.partition(".")[0]
-
-
-def _circles(package: str, imports: Iterable[tuple[str, str]]) -> Iterator[list[str]]:
-    arrows = {(_child(one, package), _child(other, package)) for one, other in imports}
-    arrows = {(one, other) for one, other in arrows if one and other and one != other}
-    names = sorted({name for arrow in arrows for name in arrow if name})
-    if not names:
-        return
-    index = {name: i for i, name in enumerate(names)}
-    rows, columns = zip(*((index[str(one)], index[str(other)]) for one, other in sorted(arrows, key=str)), strict=True)
-    matrix = csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(names), len(names)))
-    _, group = connected_components(matrix, directed=True, connection="strong")
-    for number in np.flatnonzero(np.bincount(group) > 1):
-        yield [name for name, own in zip(names, group, strict=True) if own == number]
-
-
-def _upward(root: Path, imports: Iterable[tuple[str, str]]) -> Iterator[str]:
-    contracts = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
-        "contracts"
-    ]
-    pairs = list(imports)
-    for contract in contracts:
-        if contract["type"] != "layers":
-            continue
-        for container in contract.get("containers", [""]):
-            level = {
-                name.strip(" ()"): depth
-                for depth, layer in enumerate(contract["layers"])
-                for name in re.split("[|:]", layer)
-            }
-            for one, other in pairs:
-                below, above = level.get(_child(one, container) or ""), level.get(_child(other, container) or "")
-                if below is not None and above is not None and below > above:
-                    yield f"{one} -> {other}"
 
 
 def _functions(text: str) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:

@@ -13,7 +13,6 @@ from dataclasses import fields, replace
 from functools import reduce
 from itertools import pairwise
 from operator import getitem
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -316,7 +315,7 @@ def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]
         if (seed,) in done:
             continue
         try:
-            made = simulated(seed, options.fleets)
+            made = simulated(seed)
         except LeftTableError as error:
             say(f"seed {seed} is left out: {error}")
             continue
@@ -334,7 +333,6 @@ def _line(case: Case) -> str:
 
 def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--product-seeds", type=seeds_of, default=[0], help="those of the rows through the product")
-    parser.add_argument("--fleets", type=Path, default=None, help="folder that keeps the simulated passes of each seed")
 
 
 main = Study(

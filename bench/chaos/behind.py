@@ -19,12 +19,12 @@ from pathlib import Path
 import httpx
 
 from api.factory import open_store
-from bench.api import new_key
 from bench.chaos.live import PATIENCE_S, LiveRound, stored_frames, transmitting
 from bench.chaos.run import ChaosSettings
 from bench.chaos.small_deployment import WINDOW_S, Databases, databases, faults
 from bench.measuring import resident_of
 from bench.report import BenchRow
+from bench.served import new_key
 from bench.services import answers, free_port, running, until
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
 from fleet_db.records import ChunkState
