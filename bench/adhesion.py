@@ -1,9 +1,8 @@
-"""Creep forces and friction: ``python -m bench adhesion [--seeds 0-2] [--rows low,...] [--out FILE] [--write-docs]``.
+"""Creep forces and friction: ``python -m bench adhesion [--seeds 0-2] [--rows low,...] [--write-docs]``.
 
 Every row is a scenario file in ``bench/adhesion_scenarios``; every seed of it is simulated and estimated by the pure
 functions that the jobs use (``adhesion_case``). ``wrong_file`` stands for the rows of ``adhesion_rows`` whose file is
-wrong, ``quiet_rows`` for those with quiet sensors. The passes of each case stay in ``--sums``: ``--again`` pools them,
-which judges a change of pooling or decision in seconds.
+wrong, ``quiet_rows`` for those with quiet sensors.
 """
 
 from __future__ import annotations
@@ -17,8 +16,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from bench.adhesion_case import LOW, judge, path_of, read_passes, score, vehicle_km, write_passes
-from bench.adhesion_fleet import simulate
+from bench.adhesion_case import LOW, judge, score, vehicle_km
+from bench.adhesion_fleet import Fleet, simulate
 from bench.adhesion_rows import (
     OF,
     ONE,
@@ -31,15 +30,14 @@ from bench.adhesion_rows import (
     with_others,
 )
 from bench.report import BenchRow, ResultTable, row_table
-from bench.study import Case, Key, Study, stored_cases
+from bench.study import Case, Key, Study
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario_file import load_scenario
 
 SCENARIOS = Path(__file__).parent / "adhesion_scenarios"
 FILES = tuple(sorted({path.stem for path in SCENARIOS.glob("*.toml")} - set(QUIET)))
-ROWS = (*FILES, *QUIET, *WRONG, *ONE)  # a row of one vehicle comes behind those that it is put together from
+ROWS = (*FILES, *QUIET, *WRONG, *ONE)
 GROUPS = {"wrong_file": (*WRONG, *ONE), "quiet_rows": tuple(QUIET)}
-KEY = ("row", "seed")
 LEAST_LENGTH = 50.0  # m, of a place: what is shorter is not separated
 FRICTION_COLUMNS = (
     "row",
@@ -264,50 +262,39 @@ def _error(errors: np.ndarray) -> str:
 
 
 def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]:
-    if options.again:
-        stored = {(case["row"], case["seed"]): case for case in stored_cases(options.out, KEY)}
-        for row, seed in sorted(done):
-            path = path_of(options.sums, row, seed)
-            if path.exists():
-                yield stored[row, seed] | asdict(judge(read_passes(path)))
-        return
     for seed in options.seeds:
-        yield from _of_seed([row for row in options.rows if (row, seed) not in done], seed, options.sums)
+        yield from _of_seed([row for row in options.rows if (row, seed) not in done], seed)
 
 
-def _of_seed(rows: Sequence[str], seed: int, sums: Path) -> Iterator[dict[str, Any]]:
+def _of_seed(rows: Sequence[str], seed: int) -> Iterator[dict[str, Any]]:
     """Yield the cases of rows for a seed; a scenario that rows share is simulated once."""
     for row in rows:
         if row in QUIET:
             quiet = as_seen(simulate(with_seed(quiet_scenario(SCENARIOS, QUIET[row]), seed)), QUIET[row])
-            yield score(quiet, row, sums, left_out_too=False).as_json()
+            yield score(quiet, row, left_out_too=False).as_json()
     for file in FILES:
-        own = [row for row in rows if row == file or (file == OF and row in WRONG | ONE)]
-        if not own:
+        of_file = [row for row in rows if row == file or (file == OF and row in WRONG | ONE)]
+        if not of_file:
             continue
         fleet = simulate(with_seed(load_scenario(SCENARIOS / f"{file}.toml"), seed))
-        for row in own:
-            if row in ONE:
-                case = score(as_on_file(first_vehicle(fleet), ONE[row]), row, sums, left_out_too=False).as_json()
-                yield case | _with_others(row, seed, sums) | {"vehicle_km": vehicle_km(fleet)}
-            else:
-                seen = as_on_file(fleet, WRONG[row]) if row in WRONG else fleet
-                yield score(seen, row, sums, left_out_too=row == file).as_json()
+        if file in of_file:
+            yield score(fleet, file).as_json()
+        for row in of_file:
+            if row in WRONG:
+                yield score(as_on_file(fleet, WRONG[row]), row, left_out_too=False).as_json()
+        if any(row in ONE for row in of_file):
+            yield from _ones(fleet, [row for row in of_file if row in ONE])
 
 
-def _with_others(row: str, seed: int, sums: Path) -> dict[str, Any]:
-    """Return the friction of a fleet whose first vehicle alone is wrong; keep its passes in place of that vehicle's."""
-    own, right = path_of(sums, row, seed), path_of(sums, OF, seed)
-    if not right.exists():
-        raise SystemExit(f"row {row} needs row {OF} of seed {seed}")
-    stored = with_others(read_passes(own), read_passes(right))
-    write_passes(own, stored)
-    return asdict(judge(stored))
-
-
-def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--sums", type=Path, default=Path("bench-results/adhesion-sums"), help="folder of the passes")
-    parser.add_argument("--again", action="store_true", help="run no case, pool the passes of those in --out again")
+def _ones(fleet: Fleet, rows: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Yield the cases of a fleet whose first vehicle alone is wrong: the passes of the others are as they were."""
+    right = score(fleet, OF, left_out_too=False).stored
+    for row in rows:
+        case = score(as_on_file(first_vehicle(fleet), ONE[row]), row, left_out_too=False)
+        assert case.stored is not None
+        assert right is not None
+        friction = judge(with_others(case.stored, right))
+        yield case.as_json() | asdict(friction) | {"vehicle_km": vehicle_km(fleet)}
 
 
 def _line(case: Case) -> str:
@@ -324,5 +311,4 @@ main = Study(
     line=_line,
     rows=ROWS,
     groups=GROUPS,
-    options=_options,
 ).run

@@ -14,7 +14,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -150,11 +149,11 @@ COVERAGE = (0.92, 0.98)
 SECONDS_PER_HOUR = 3600.0
 
 
-def scored(scenario: Scenario, keep: Path | None) -> dict[str, Any]:
-    """Return the score of a scenario in a folder of its own; recordings stay in ``keep`` where it is given."""
+def scored(scenario: Scenario, cache: Path | None = None) -> dict[str, Any]:
+    """Return the score of a scenario in a folder of its own; recordings stay in ``cache`` where it is given."""
     with tempfile.TemporaryDirectory(prefix="treadwatch-bench-") as name:
         folder = Path(name)
-        return score(scenario, keep or folder / "recordings", folder / "data")
+        return score(scenario, cache or folder / "recordings", folder / "data")
 
 
 def score(scenario: Scenario, cache: Path, folder: Path) -> dict[str, Any]:
@@ -335,7 +334,6 @@ def summary_line(case: Case) -> str:
 def fleet_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of a study of fleets."""
     parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--keep", type=Path, default=None, help="folder that keeps recordings (150 MB each)")
 
 
 def cases_of(
@@ -343,7 +341,7 @@ def cases_of(
 ) -> Iterator[Case | None]:
     """Yield what ``work`` returns for each row and seed that is not done."""
     tasks = [(row, seed) for seed in options.seeds for row in rows if (row, seed) not in done]
-    yield from in_processes(partial(work, keep=options.keep), tasks, options.workers)
+    yield from in_processes(work, tasks, options.workers)
 
 
 def by_row(cases: Sequence[Case], rows: Sequence[str] | Mapping[str, Any]) -> dict[str, list[Case]]:

@@ -21,7 +21,7 @@ files entered by one frame
     command line, settings, transactions, records of job runs, logs, HTTP without content). Two rows: to the geometry,
     the answer that the frame's own data end in, and to trend and alerts besides.
 SQL statements
-    Of each job, in one run of all over six windows of two wheelsets on a new database (``bench/job_statements.py``).
+    Of each job, in one run of all over six windows of two wheelsets on a new database.
 start
     CPU seconds (user and system) of the command line, median of five.
 loose words
@@ -40,22 +40,29 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from bench.digests import command, environment_of, simulate
+from api.comparison.trial import deploy, receive, record
+from api.factory import open_store
+from api.pipeline import job_context
+from bench.digests import SCENARIOS, command, environment_of, simulate
 from bench.loose_constants import loose_constants
+from bench.measuring import Stages
+from estimation.values.runs import JobTrigger
+from ingest.simulator.scenario_file import load_scenario
 
 PACKAGES = ("api", "fleet_db", "ingest", "estimation")
 SCREEN = 50
 COMPLEXITY = 10
 LONG_FILE = 400
 STARTS = 5
+LEASE_S = 60.0
 CORE_JOBS = ("refresh_alignment", "estimate_windows", "refresh_geometry", "refresh_trends", "evaluate_alerts")
 ALIGNMENT_JOB = "refresh_alignment"
 API_START = "start of the REST API"
@@ -108,7 +115,7 @@ def main(arguments: Sequence[str]) -> int:
     root = given.root.resolve()
     counts = [*static_counts(root)]
     if not given.static:
-        counts += [*frame_counts(root), *statement_counts(root), *start_counts(root)]
+        counts += [*frame_counts(root), *statement_counts(), *start_counts(root)]
     table = Table("what", "before", "now", "reach", title="treadwatch house", title_justify="left")
     for count in counts:
         table.add_row(count.what, count.before, count.now, count.reach)
@@ -228,40 +235,25 @@ def frame_counts(root: Path) -> Iterator[Count]:
         yield Count(f"files entered by one frame, from log to {name}", before, str(len(files)), reach, places)
 
 
-def statement_counts(root: Path) -> Iterator[Count]:
+def statement_counts() -> Iterator[Count]:
     """Yield the SQL statements from alignment to alerts, and of each job."""
-    executed = job_statements(root)
+    executed = job_statements()
     places = tuple(f"{job}: {count}" for job, count in executed.items())
     core = sum(executed[job] for job in CORE_JOBS)
     yield Count("SQL statements from alignment to alerts, 6 windows of 2 wheelsets", "890", str(core), "<= 200", places)
     yield Count("SQL statements of any job, the same windows", "370", str(max(executed.values())), "<= 150", places)
 
 
-def job_statements(root: Path) -> dict[str, int]:
+def job_statements() -> Mapping[str, int]:
     """Return how many SQL statements each job executes over six windows of two wheelsets."""
     with tempfile.TemporaryDirectory(prefix="treadwatch-house-") as name:
-        folder = Path(name)
-        environment = environment_of(folder) | {"PYTHONPATH": str(root), "TREADWATCH_WINDOW_LENGTH_S": "120"}
-        simulated = simulate("frame", folder, environment)
-        command(["db", "upgrade"], folder, environment)
-        recordings = map(str, sorted(simulated.glob("*/*.blf")))
-        command(["ingest", "--registry", str(simulated / "registry.json"), *recordings], folder, environment)
-        return _script("job_statements.py", folder, environment)
-
-
-def _script(name: str, folder: Path, environment: dict[str, str], *arguments: str) -> Any:  # noqa: ANN401 - JSON
-    """Return what a script beside this file prints as JSON."""
-    done = subprocess.run(  # noqa: S603 - our own script
-        [sys.executable, "-P", str(Path(__file__).with_name(name)), *arguments],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        raise RuntimeError(done.stderr)
-    return json.loads(done.stdout)
+        scenario, folder = load_scenario(str(SCENARIOS / "frame.toml")), Path(name)
+        settings = deploy(scenario, folder).model_copy(update={"window_length_s": 120.0})
+        receive(record(scenario, folder / "recordings", workers=1), settings)
+        stages = Stages()
+        with closing(open_store(settings)) as store, store.owned(JobTrigger.CLI, "house", LEASE_S) as storage:
+            stages.run_jobs(job_context(settings, storage))
+        return stages.statements
 
 
 def trace(root: Path) -> dict[str, dict[str, list[str]]]:
@@ -274,7 +266,12 @@ def trace(root: Path) -> dict[str, dict[str, list[str]]]:
         command(["db", "upgrade"], folder, environment)
         command(["ingest", "--registry", str(simulated / "registry.json"), *map(str, earlier)], folder, environment)
         command(["estimate"], folder, environment)
-        return _script("frame_trace.py", folder, environment, "T-A2", str(last))
+        script = [sys.executable, "-P", str(Path(__file__).with_name("frame_trace.py")), "T-A2", str(last)]
+        done = subprocess.run(script, cwd=folder, env=environment, capture_output=True, text=True, check=False)  # noqa: S603 - our own script
+    if done.returncode:
+        raise RuntimeError(done.stderr)
+    found: dict[str, dict[str, list[str]]] = json.loads(done.stdout)
+    return found
 
 
 def entered_files(traced: dict[str, dict[str, list[str]]]) -> dict[str, str]:

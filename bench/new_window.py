@@ -43,7 +43,7 @@ def rows(_options: argparse.Namespace, folder: Path) -> Iterator[BenchRow]:
 
     with recorded_year(folder) as year:
         year.put(1, DAYS)
-    command = [sys.executable, "-m", "bench.new_window", str(folder)]
+        command = [sys.executable, "-m", "bench.new_window", str(year.storage.data_dir)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603 - this program
     found = json.loads(done.stdout)
     yield BenchRow("intervals of the wheelset", str(found["intervals"]), "", met=True)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import shutil
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -13,18 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from api.comparison.trial import (
-    ESTIMATION,
-    copied,
-    deploy,
-    opened,
-    receive,
-    record,
-    recording_key,
-    register,
-    run_jobs,
-)
+from api.comparison.trial import ESTIMATION, deploy, opened, receive, record, register, run_jobs
 from api.settings import Settings
+from bench.scores import compared_at
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.profiles import wheel_profile
@@ -139,12 +128,12 @@ MEASURED: Mapping[int, tuple[str, ...]] = {  # wheelsets whose profiles are on f
 Scored = dict[str, Any]
 
 
-def score(seed: int, cache: Path, *, drawn: bool = False) -> list[Scored]:
+def score(seed: int, *, drawn: bool = False) -> list[Scored]:
     """Return a score for each way to hold the level, as JSON values."""
     sections = sections_of(seed, drawn=drawn)
     found: list[Scored] = []
     with tempfile.TemporaryDirectory(prefix="treadwatch-rails-") as folder:
-        settings = copied(received(sections, cache), Path(folder))
+        settings = received(sections, Path(folder))
         for measured, anchors in MEASURED.items():
             if measured:
                 register(whole_fleet(sections, measured), settings, Path(folder) / f"measured-{measured}")
@@ -165,26 +154,17 @@ def _scored(seed: int, sections: Sequence[BenchSection], anchor: str, storage: S
     return {"seed": seed, "anchor": anchor} | scored | {"seconds": time.perf_counter() - began}
 
 
-def received(sections: Sequence[BenchSection], cache: Path) -> Settings:
-    """Return a deployment in ``cache`` that has received and estimated the runs on all sections, made where missing."""
-    keys = " ".join(recording_key(one.scenario) for one in sections)
-    on_file = " ".join(repr((one.plan.surveyed, one.plan.tonnage)) for one in sections)
-    folder = cache / "deployed" / hashlib.sha256(f"{keys} {on_file}".encode()).hexdigest()[:20]
-    made = folder.with_suffix(".partial")
-    if not folder.exists():
-        shutil.rmtree(made, ignore_errors=True)
-        first = whole_fleet(sections)
-        settings = deploy(first, made)
-        for one in sections[1:]:
-            register(replace(first, section=one.plan, seed=one.scenario.seed), settings, made / one.plan.code)
-        for one in sections:
-            receive(record(one.scenario, cache, workers=1), settings)
-        with opened(settings) as (_, context):
-            run_jobs(context, ESTIMATION)
-        made.rename(folder)
-    return Settings(  # type: ignore[call-arg] # of pydantic-settings
-        data_dir=folder / "data", database_url=None, raw_store=None, _env_file=None
-    )
+def received(sections: Sequence[BenchSection], folder: Path) -> Settings:
+    """Return a new deployment in a folder that has received and estimated the runs on all sections."""
+    first = whole_fleet(sections)
+    settings = deploy(first, folder)
+    for one in sections[1:]:
+        register(replace(first, section=one.plan, seed=one.scenario.seed), settings, folder / one.plan.code)
+    for one in sections:
+        receive(record(one.scenario, folder / "recordings", workers=1), settings)
+    with opened(settings) as (_, context):
+        run_jobs(context, ESTIMATION)
+    return settings
 
 
 def whole_fleet(sections: Sequence[BenchSection], measured: int = 0) -> Scenario:
@@ -209,7 +189,9 @@ def _stored(unit: UnitOfWork, sections: Sequence[BenchSection]) -> Scored:
                 "exceeded": None if found is None else found.exceeded,
                 "reference": None if part is None else part.reference,
                 "true_excess": (true - reference_wheel(sections[0].scenario, amplitude)).tolist(),
-                "wheel": [] if part is None or found is None else _errors(found.amplitude, part.reference_wheel, true),
+                "wheel": []
+                if part is None or found is None
+                else compared_at(amplitude, true, np.array(found.amplitude), part.reference_wheel),
                 "refused": [] if part is None else [str(code_of(one.reason) or "") for one in part.reference_wheel],
             }
         )
@@ -224,25 +206,11 @@ def _stored(unit: UnitOfWork, sections: Sequence[BenchSection]) -> Scored:
                 "sections": [] if found_wheels is None else list(found_wheels.part.sections),
                 "apart": []
                 if found_wheels is None
-                else _errors(found_wheels.amplitude, found_wheels.part.conicity, true),
-                "today": [] if now is None else _errors(tuple(now.amplitude.tolist()), now.conicity, true),
+                else compared_at(amplitude, true, np.array(found_wheels.amplitude), found_wheels.part.conicity),
+                "today": [] if now is None else compared_at(amplitude, true, now.amplitude, now.conicity),
             }
         )
     return {"sections": of_sections, "wheelsets": wheelsets}
-
-
-def _errors(
-    amplitude: Sequence[float], found: Sequence[Estimate], true: FloatArray
-) -> list[tuple[float, float, bool] | None]:
-    """Return error, std and whether the interval covers, at each of ``AMPLITUDES``; None where nothing is published."""
-    errors: list[tuple[float, float, bool] | None] = []
-    for a, truth in zip(AMPLITUDES, true, strict=True):
-        one = found[int(np.argmin(np.abs(np.array(amplitude) - a)))]
-        if one.value is None or one.std is None or one.low is None or one.high is None or not np.isfinite(truth):
-            errors.append(None)
-        else:
-            errors.append((float(one.value - truth), one.std, bool(one.low <= truth <= one.high)))
-    return errors
 
 
 def _true_wheels(sections: Sequence[BenchSection], amplitude: FloatArray) -> dict[str, FloatArray]:
@@ -291,11 +259,11 @@ def _wearing(vehicle: VehiclePlan, rng: np.random.Generator) -> VehiclePlan:
     return replace(vehicle, wheelsets=tuple(replace(one, rate_left=rate, rate_right=rate) for one, rate in wheelsets))
 
 
-def score_trend(seed: int, cache: Path) -> Scored:
+def score_trend(seed: int) -> Scored:
     """Return the trend of the section whose rails wear, beside the truth, as JSON values."""
     sections = worn_for_years(seed)
     with tempfile.TemporaryDirectory(prefix="treadwatch-rails-") as folder:
-        settings = copied(received(sections, cache), Path(folder))
+        settings = received(sections, Path(folder))
         with opened(settings) as (storage, context):
             known = replace(context.settings, rails=RailsSettings(_looked_at(sections[0].scenario)))
             run_jobs(replace(context, settings=known), (*ESTIMATION, refresh_rails.JOB))

@@ -20,6 +20,7 @@ import numpy as np
 from api.comparison.study import TrackInformation, TrueWheelset, on_file, read_truth
 from api.comparison.trial import ESTIMATION, deploy, opened, parameters_of, receive, record, replayed, run_jobs
 from bench.report import BenchRow, Part, ResultTable, row_table
+from bench.scores import compared_at
 from bench.study import Case, Key, Study, one_of
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.profiles import wheel_profile
@@ -160,27 +161,19 @@ def _score(
     cost: tuple[float, float, int],
 ) -> RivalScore:
     ran = equivalent_conicity(*as_run, truth.amplitude)
-    errors: list[float | None] = []
-    errors_as_run: list[float | None] = []
-    covered, own_covered = [], []
-    for amplitude, true, run in zip(truth.amplitude, truth.conicity, ran, strict=True):
-        at = int(np.argmin(np.abs(found.amplitude - amplitude)))
-        one = found.conicity[at]
-        if one.value is None or one.low is None or one.high is None:
-            errors.append(None)
-            errors_as_run.append(None)
-            continue
-        errors.append(float(one.value - true))
-        errors_as_run.append(float(one.value - run))
-        covered.append(bool(one.low <= true <= one.high))
-        own = np.nan if found.own_std is None else float(found.own_std[at])
-        if np.isfinite(own):
-            own_covered.append(bool(abs(one.value - true) <= NORMAL_95 * own))
+    own_std = np.full(len(found.amplitude), np.nan) if found.own_std is None else found.own_std
+    scored = compared_at(truth.amplitude, truth.conicity, found.amplitude, found.conicity)
+    at = [int(np.argmin(np.abs(found.amplitude - amplitude))) for amplitude in truth.amplitude]
+    given = [(one, float(own_std[place])) for one, place in zip(scored, at, strict=True) if one is not None]
+    errors = tuple(None if one is None else one.error for one in scored)
+    shift = truth.conicity - ran
+    errors_as_run = tuple(None if one is None else one + float(off) for one, off in zip(errors, shift, strict=True))
+    covered = tuple(one.covered for one, _ in given)
+    own_covered = tuple(abs(one.error) <= NORMAL_95 * own for one, own in given if np.isfinite(own))
     reason = "" if found.reason is None else str(found.reason.code)
     family, seed, track, name = of
     return RivalScore(
-        family, seed, track, name, truth.serial, tuple(errors), tuple(errors_as_run),
-        tuple(covered), tuple(own_covered), reason, *cost,
+        family, seed, track, name, truth.serial, errors, errors_as_run, covered, own_covered, reason, *cost,
     )  # fmt: skip
 
 
@@ -347,7 +340,7 @@ def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]
         if not tracks:
             continue
         with tempfile.TemporaryDirectory(prefix="treadwatch-rivals-") as name:
-            cache, folder = options.keep or Path(name) / "recordings", Path(name) / "data"
+            cache, folder = Path(name) / "recordings", Path(name) / "data"
             scenario = fleet(family, seed, options.vehicles, cache / "wheels")
             known = [TrackInformation(track) for track in tracks]
             made = list(scores(scenario, family, known, cache, folder, options.wheelsets, options.estimators))
@@ -364,7 +357,6 @@ def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--estimators", type=one_of(every), default=every, help="names; the shipped one always runs")
     parser.add_argument("--vehicles", type=int, default=4, help="of four wheelsets (4)")
     parser.add_argument("--wheelsets", type=int, default=16, help="that are scored, spread over the fleet (16)")
-    parser.add_argument("--keep", type=Path, default=None, help="folder that keeps recordings")
 
 
 main = Study(

@@ -11,7 +11,6 @@ import math
 import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -54,11 +53,10 @@ TITLE = (
 )
 
 
-def seed_cases(seed: int, rows: Sequence[str], drawn: bool, keep: Path | None) -> list[Case]:  # noqa: FBT001 - a task
+def seed_cases(seed: int, rows: Sequence[str], drawn: bool) -> list[Case]:  # noqa: FBT001 - a task
     """Return the scores of rows for one seed, which share one simulation."""
     with tempfile.TemporaryDirectory(prefix="treadwatch-section-") as folder:
-        cache = keep or Path(folder)
-        return [scored(row_scenario(row, seed, drawn=drawn), cache) for row in rows]
+        return [scored(row_scenario(row, seed, drawn=drawn), Path(folder)) for row in rows]
 
 
 def row_scenario(row: str, seed: int, *, drawn: bool) -> Scenario:
@@ -74,7 +72,7 @@ def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case 
         for seed in options.seeds
         for rows in _sharing([row for row in options.rows if _is_due(row, seed, drawn, done)], seed)
     ]
-    for cases in in_processes(partial(seed_cases, keep=options.keep), tasks, options.workers):
+    for cases in in_processes(seed_cases, tasks, options.workers):
         yield from [None] if cases is None else cases
 
 

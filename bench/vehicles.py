@@ -60,9 +60,9 @@ EXPLANATION = (
 )
 
 
-def run_case(row: str, seed: int, keep: Path | None) -> Case:
+def run_case(row: str, seed: int) -> Case:
     """Return the score of a row for one seed."""
-    return scored(with_seed(load_scenario(SCENARIOS / f"{row}.toml"), seed), keep)
+    return scored(with_seed(load_scenario(SCENARIOS / f"{row}.toml"), seed))
 
 
 @dataclass(frozen=True, slots=True)

@@ -217,10 +217,10 @@ DIVERSITIES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, math.inf)  # limits of the lin
 UNKNOWN = "unknown"  # how the names of the rows on unknown track begin
 
 
-def run_case(row: str, seed: int, keep: Path | None, wheels: tuple[WheelPair, ...] = ()) -> Case:
+def run_case(row: str, seed: int, wheels: tuple[WheelPair, ...] = ()) -> Case:
     """Return the score of a row for one seed; with measured wheels also which of them cannot run in it."""
     scenario, left_out = scenario_of(row, seed, wheels)
-    return scored(scenario, keep) | {"left_out": left_out}
+    return scored(scenario) | {"left_out": left_out}
 
 
 def scenario_of(row: str, seed: int, wheels: tuple[WheelPair, ...] = ()) -> tuple[Scenario, tuple[str, ...]]:
