@@ -31,7 +31,7 @@ from api.factory import open_store
 from api.settings import Settings
 from bench.report import Bench, BenchRow, Part, ResultTable, say
 from bench.served import WORKERS, filled_database, served
-from bench.services import DATABASES, until
+from bench.services import DATABASES, started_program, until
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity
 from estimation.values.registry import FleetRecord, WheelsetRecord
 from fleet_db.storage import SqlStorage
@@ -153,9 +153,9 @@ async def _listen(reader: asyncio.StreamReader, got: dict[bytes, int]) -> None:
 
 def _exactly_once(service: Service) -> BenchRow:
     """Let writers commit while pollers are killed, and compare what pollers got with what is in the feed."""
-    writing = [_started(service.write(one, STEPS, 0.005), quiet=True) for one in range(WRITERS)]
+    writing = [started_program(service.write(one, STEPS, 0.005), os.environ) for one in range(WRITERS)]
     files = [service.folder / f"poller-{one}" for one in range(POLLERS)]
-    polling = [_started(service.poll(file)) for file in files]
+    polling = [started_program(service.poll(file), os.environ) for file in files]
     draw, kills = random.Random(12), 0  # noqa: S311 - which poller is killed when, the same in every run
     try:
         while any(one.poll() is None for one in writing):
@@ -164,7 +164,7 @@ def _exactly_once(service: Service) -> BenchRow:
             polling[victim].kill()
             polling[victim].wait()
             kills += 1
-            polling[victim] = _started(service.poll(files[victim]))
+            polling[victim] = started_program(service.poll(files[victim]), os.environ)
         if any(one.returncode for one in writing):
             raise RuntimeError("a writer has failed")
         with service.storage.read() as unit:
@@ -185,11 +185,6 @@ def _exactly_once(service: Service) -> BenchRow:
         "0, 0, 0",
         missed == doubled == out_of_order == 0,
     )
-
-
-def _started(arguments: list[str], *, quiet: bool = False) -> subprocess.Popen[bytes]:
-    output = subprocess.DEVNULL if quiet else None
-    return subprocess.Popen([sys.executable, *arguments], stdout=output)  # noqa: S603 - our own command
 
 
 def _new_alert(writer: int) -> Alert:

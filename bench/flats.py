@@ -16,11 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from bench.report import Bench, BenchRow, Part, ResultTable, row_table
+from bench.wheelset_motion import gears_of
 from estimation.motion.hunting import find_hunting
 from estimation.motion.without_blows import blows_unless_hunting
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import TurnBlows
-from ingest.simulator.axle_motion import DerailmentError, axle_motions, contact_of
+from ingest.simulator.axle_motion import DerailmentError, contact_of
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.motion import STEP, WheelsetMotion
@@ -88,12 +89,9 @@ def judged(values: FloatArray, speed: FloatArray, interval_s: float) -> TurnBlow
 
 def _motions(scenario: Scenario) -> Iterator[tuple[int, WheelsetMotion]]:
     track, plan = scenario_track(scenario), scenario.vehicles[0]
-    contacts = [contact_of(scenario, track, one, scenario.odometer(0)).table for one in plan.wheelsets]
-    run = vehicle_run(scenario, track, plan, 0)
-    together = 1 if scenario.bogie is None else 2
-    for first in range(0, len(plan.wheelsets), together):
-        group = tuple(range(first, first + together))
-        yield from zip(group, axle_motions(scenario, track, run, group, [contacts[k] for k in group]), strict=True)
+    tables = [contact_of(scenario, track, one, scenario.odometer(0)).table for one in plan.wheelsets]
+    for axles, motions in gears_of(scenario, track, vehicle_run(scenario, track, plan, 0), tables):
+        yield from zip(axles, motions, strict=True)
 
 
 def _cases(

@@ -133,16 +133,18 @@ def _section_runs(options: argparse.Namespace, folder: Path) -> Iterator[BenchRo
         yield _growth(what, name, found)
 
 
-def runs(folder: Path, vehicles: int, campaigns: int, minutes: float, *, surveyed: bool = False) -> Iterator[Stages]:
-    """Yield what each journey costs when all jobs follow it."""
+def runs(
+    folder: Path, vehicles: int, campaigns: int, minutes: float, *, surveyed: bool = False, quiet_s: float = QUIET_S
+) -> Iterator[Stages]:
+    """Yield what each journey costs when all jobs follow it, the last one with what was waited with."""
     fleet = small_fleet(folder, "K", cars(vehicles), FOUR_AXLES, minutes, campaigns=campaigns, surveyed=surveyed)
     load = deployed(folder, fleet)
     for recording in load.recordings:
         stages = Stages()
         with opened(load.received) as (storage, plain):
-            context = replace(plain, quiet_s=QUIET_S)
+            context = replace(plain, quiet_s=quiet_s)
             stages.measure(storage, context, load.received, Recorded((recording,), load.received.data_dir))
-        if recording is load.recordings[-1]:
+        if quiet_s and recording is load.recordings[-1]:
             with opened(load.received) as (_, plain):
                 stages.run_jobs(replace(plain, quiet_s=0.0))
         yield stages

@@ -153,6 +153,13 @@ def workload(
     return replace(load, recordings=load.recordings[1:])
 
 
+def kept_for_ever(folder: Path) -> Path:
+    """Return a retention file: the recordings are older than what is kept by default."""
+    file = folder / "retention.toml"
+    file.write_text('[days]\nwindow_samples = "for ever"\nwindow_bin_tables = "for ever"\n', encoding="utf-8")
+    return file
+
+
 def put_copies(storage: SqlStorage, model: str, codes: Sequence[str]) -> None:
     """Put copies of a vehicle with its wheelsets on file."""
     with storage.write() as unit:
