@@ -85,7 +85,6 @@ def compare(found: SectionAdhesion, stored: StoredPasses) -> FrictionScore:
                 "low": cell.friction.low,
                 "high": cell.friction.high,
                 "at_least": cell.at_least,
-                "probability": cell.low_probability,
             }
         )
     passed = [cell.from_m for cell in found.cells if cell.friction.value is not None or cell.at_least]

@@ -50,10 +50,8 @@ class AlignmentScore:
 
     band: float  # 3-60 m of wavelength
     filtered: float  # as published, against the truth behind the same filter
-    signal: float  # SD of the true alignment in the band
     published: int  # places
     covered: int  # of these, by the 95 % interval
-    known: float  # share of the section
     gauge: float = 0.0  # of an estimated gauge deviation
     gauge_published: int = 0  # places
     gauge_covered: int = 0
@@ -83,10 +81,8 @@ def alignment_score(scenario: Scenario, found: TrackAlignment) -> AlignmentScore
     return AlignmentScore(
         band=float((in_band(whole, step) - true_band)[inner & known].std()),
         filtered=float(error.std()),
-        signal=float(true_band[inner].std()),
         published=int(inner.sum()),
         covered=int(inside.sum()),
-        known=float(np.isfinite(found.alignment).mean()),
         **_gauge_score(true_track, found, place, inner),
     )
 

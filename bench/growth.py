@@ -137,7 +137,7 @@ def runs(
     folder: Path, vehicles: int, campaigns: int, minutes: float, *, surveyed: bool = False, quiet_s: float = QUIET_S
 ) -> Iterator[Stages]:
     """Yield what each journey costs when all jobs follow it, the last one with what was waited with."""
-    fleet = small_fleet(folder, "K", cars(vehicles), FOUR_AXLES, minutes, campaigns=campaigns, surveyed=surveyed)
+    fleet = small_fleet("K", cars(vehicles), FOUR_AXLES, minutes, campaigns=campaigns, surveyed=surveyed)
     load = deployed(folder, fleet)
     for recording in load.recordings:
         stages = Stages()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,7 +23,6 @@ from estimation.storage import Storage, UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import SECTION_RAILS, WHEELSET_RAILS
 from estimation.values.quantities import Estimate
-from estimation.values.reasons import code_of
 from estimation.values.units import DAY_NS
 from ingest.simulator.axle_motion import rails_of, section_at, truth_of, wear_at, worn_contact
 from ingest.simulator.drawn_fleet import with_seed
@@ -144,14 +142,12 @@ def score(seed: int, *, drawn: bool = False) -> list[Scored]:
 
 
 def _scored(seed: int, sections: Sequence[BenchSection], anchor: str, storage: Storage, context: JobContext) -> Scored:
-    began = time.perf_counter()
     begin_ns = sections[0].scenario.sessions.start_ns
     known = frozenset(KnownSection(code, begin_ns) for code in ANCHORS[anchor])
     settings = replace(context.settings, rails=RailsSettings(known))
     run_jobs(replace(context, settings=settings), (refresh_rails.JOB,))
     with storage.read() as unit:
-        scored = _stored(unit, sections)
-    return {"seed": seed, "anchor": anchor} | scored | {"seconds": time.perf_counter() - began}
+        return {"seed": seed, "anchor": anchor} | _stored(unit, sections)
 
 
 def received(sections: Sequence[BenchSection], folder: Path) -> Settings:
@@ -187,12 +183,9 @@ def _stored(unit: UnitOfWork, sections: Sequence[BenchSection]) -> Scored:
                 "section": one.plan.code,
                 "worn": one.worn,
                 "exceeded": None if found is None else found.exceeded,
-                "reference": None if part is None else part.reference,
-                "true_excess": (true - reference_wheel(sections[0].scenario, amplitude)).tolist(),
                 "wheel": []
                 if part is None or found is None
                 else compared_at(amplitude, true, np.array(found.amplitude), part.reference_wheel),
-                "refused": [] if part is None else [str(code_of(one.reason) or "") for one in part.reference_wheel],
             }
         )
     wheelsets = []
@@ -202,8 +195,6 @@ def _stored(unit: UnitOfWork, sections: Sequence[BenchSection]) -> Scored:
         now = None if geometry is None else geometry.geometry
         wheelsets.append(
             {
-                "serial": serial,
-                "sections": [] if found_wheels is None else list(found_wheels.part.sections),
                 "apart": []
                 if found_wheels is None
                 else compared_at(amplitude, true, np.array(found_wheels.amplitude), found_wheels.part.conicity),
@@ -276,7 +267,6 @@ def score_trend(seed: int) -> Scored:
     return {
         "seed": seed,
         "amplitude": trend.amplitude,
-        "periods": trend.periods,
         "true_per_year": per_year,
         "per_year": _interval(trend.per_year),
         "true_per_100_mgt": per_year * 100.0 / TONNAGE,

@@ -246,7 +246,7 @@ def _corrected(found: Deployment, number: int, rng: np.random.Generator, expecte
 def _rounds(settings: ChaosSettings, numbers: Sequence[int], server: str | None) -> Iterator[Corrected]:
     """Make mistakes one after another; one that leaves something wrong is followed by another deployment."""
     home = settings.folder / ("sqlite" if server is None else "postgresql") / "round"
-    scenario = small_fleet(settings.folder, "C", WORN, (2.0, 4.5), 1.5, km_between=30_000.0, seed=23)
+    scenario = small_fleet("C", WORN, (2.0, 4.5), 1.5, km_between=30_000.0, seed=23)
     load = deployed(settings.folder, scenario, server, workers=1)
     chosen = load.received.model_copy(
         update={"window_length_s": WINDOW_S, "retention_file": kept_for_ever(settings.folder)}

@@ -63,7 +63,7 @@ def worker_fleet(folder: Path, vehicles: int, campaigns: int, server: str | None
     The server is PostgreSQL's; None for SQLite.
     """
     scenario = small_fleet(
-        folder, "W", cars(vehicles, wear=0.8), FOUR_AXLES, 2.0, campaigns=campaigns, surveyed=False, seed=11,
+        "W", cars(vehicles, wear=0.8), FOUR_AXLES, 2.0, campaigns=campaigns, surveyed=False, seed=11,
         km_between=20_000.0, position_m=3.0,
     )  # fmt: skip
     load = deployed(folder, scenario, server, PASSWORD, workers=1)
