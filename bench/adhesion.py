@@ -29,7 +29,7 @@ from bench.adhesion_rows import (
     quiet_scenario,
     with_others,
 )
-from bench.report import BenchRow, ResultTable, row_table
+from bench.report import BenchRow, Columns, ResultTable, row_table
 from bench.study import Case, Key, Study
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario_file import load_scenario
@@ -39,22 +39,6 @@ FILES = tuple(sorted({path.stem for path in SCENARIOS.glob("*.toml")} - set(QUIE
 ROWS = (*FILES, *QUIET, *WRONG, *ONE)
 GROUPS = {"wrong_file": (*WRONG, *ONE), "quiet_rows": tuple(QUIET)}
 LEAST_LENGTH = 50.0  # m, of a place: what is shorter is not separated
-FRICTION_COLUMNS = (
-    "row",
-    "seeds",
-    "lateral creep",
-    "yaw moment",
-    "stretches below 0.15, of 50 m or more, found",
-    "alarms without",
-    "vehicle-km",
-    "places with an interval",
-    "of those covered",
-    "error of friction at 0.12 to 0.18, mean and std",
-    "lower bounds that hold",
-    "seeds with a vehicle left out",
-    "conicity error, all samples",
-    "without low friction",
-)
 JUDGED = "low"  # the row of the wanted numbers
 WRONG_ROWS = {*WRONG, *ONE}
 LEAST_HELD = 0.92  # share of intervals and of lower bounds, in rows whose file is wrong
@@ -181,35 +165,6 @@ def _by_row(cases: Sequence[Case]) -> str:
     return "; ".join(some) or f"none in any of {len(rows)} rows"
 
 
-def friction_rows(cases: Sequence[Case]) -> list[tuple[str, ...]]:
-    """Return a row of cells for every row of the bench."""
-    rows: list[tuple[str, ...]] = []
-    for name in sorted({case["row"] for case in cases}):
-        of = [case for case in cases if case["row"] == name]
-        cells = [cell for case in of for cell in case["cells"]]
-        covered, bounded = _held(of)
-        found = _found(of, LEAST_LENGTH)
-        rows.append(
-            (
-                name,
-                str(len(of)),
-                _percent(_share(of, "lateral")),
-                _percent(_share(of, "moment")),
-                f"{sum(found)} of {len(found)}" if cells else "",
-                str(_false(of)) if cells else "",
-                f"{sum(case['vehicle_km'] for case in of):.0f}",
-                f"{len(covered)} of {len(cells)}" if cells else "",
-                _percent(np.mean(covered)) if covered else "",
-                _near_limit(cells),
-                _percent(np.mean(bounded)) if bounded else "",
-                str(sum(bool(case.get("left_out")) for case in of)) if cells else "",
-                _error(_errors(of, "conicity_all")),
-                _error(_errors(of, "conicity_left_out")),
-            )
-        )
-    return rows
-
-
 def _near_limit(cells: Iterable[Case]) -> str:
     """Return the mean and the std of the errors of friction of places near the limit."""
     near = [one for one in cells if one["value"] is not None and NEAR[0] <= one["mean"] < NEAR[1]]
@@ -261,6 +216,41 @@ def _error(errors: np.ndarray) -> str:
     return f"{errors.mean():+.4f}, {np.abs(errors).mean():.4f}" if len(errors) else ""
 
 
+FRICTION_COLUMNS: Columns = {  # of a row, its cases and their places
+    "row": lambda name, *_: name,
+    "seeds": lambda _, of, __: str(len(of)),
+    "lateral creep": lambda _, of, __: _percent(_share(of, "lateral")),
+    "yaw moment": lambda _, of, __: _percent(_share(of, "moment")),
+    "stretches below 0.15, of 50 m or more, found": lambda _, of, places: _count(_found(of, LEAST_LENGTH), places),
+    "alarms without": lambda _, of, places: str(_false(of)) if places else "",
+    "vehicle-km": lambda _, of, __: f"{sum(case['vehicle_km'] for case in of):.0f}",
+    "places with an interval": lambda _, of, places: f"{len(_held(of)[0])} of {len(places)}" if places else "",
+    "of those covered": lambda _, of, __: _mean(_held(of)[0]),
+    "error of friction at 0.12 to 0.18, mean and std": lambda *given: _near_limit(given[2]),
+    "lower bounds that hold": lambda _, of, __: _mean(_held(of)[1]),
+    "seeds with a vehicle left out": lambda _, of, places: (
+        str(sum(bool(case.get("left_out")) for case in of)) if places else ""
+    ),
+    "conicity error, all samples": lambda _, of, __: _error(_errors(of, "conicity_all")),
+    "without low friction": lambda _, of, __: _error(_errors(of, "conicity_left_out")),
+}
+
+
+def friction_table(cases: Sequence[Case]) -> ResultTable:
+    """Return a line for every row of the bench."""
+    by_row = {name: [case for case in cases if case["row"] == name] for name in sorted({case["row"] for case in cases})}
+    groups = ((name, of, [cell for case in of for cell in case["cells"]]) for name, of in by_row.items())
+    return ResultTable.of(FRICTION_COLUMNS, groups)
+
+
+def _count(found: Sequence[bool], places: Sequence[Case]) -> str:
+    return f"{sum(found)} of {len(found)}" if places else ""
+
+
+def _mean(held: Sequence[bool]) -> str:
+    return _percent(np.mean(held)) if held else ""
+
+
 def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]:
     for seed in options.seeds:
         yield from _of_seed([row for row in options.rows if (row, seed) not in done], seed)
@@ -307,7 +297,7 @@ main = Study(
     title="Creep forces and friction",
     about=__doc__ or "",
     cases=_cases,
-    parts=lambda cases: [row_table(summary(cases)), ResultTable(FRICTION_COLUMNS, friction_rows(cases))],
+    parts=lambda cases: [row_table(summary(cases)), friction_table(cases)],
     line=_line,
     rows=ROWS,
     groups=GROUPS,

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.report import Bench, BenchRow, Part, ResultTable, row_table
+from bench.report import Bench, BenchRow, Columns, Part, ResultTable, row_table
 from bench.wheelset_motion import gears_of
 from estimation.motion.hunting import find_hunting
 from estimation.motion.without_blows import blows_unless_hunting
@@ -150,13 +150,6 @@ def _measured(scenario: Scenario, motion: WheelsetMotion, vibration: float, rng:
     return np.clip(record.values[: round(WINDOW_S / STEP / scenario.sensors.stride)], -RANGE, RANGE)
 
 
-HEADER = (
-    "blows at 20 m/s",
-    *(f"vibration {one:g} m/s2" for one in VIBRATIONS),
-    "below 15 m/s",
-    "faster",
-    "side known, right",
-)
 FALSE_ALARMS = 0.003  # share of the windows without a flat
 POWER = 0.99  # from 40 m/s2 on, of vibration up to 5 m/s2
 POWER_OF_ROUGH = 0.95  # from 60 m/s2 on, of 10 m/s2
@@ -168,15 +161,21 @@ EXPLANATION = (
 )
 
 
-def _line(size: float, flats: Sequence[Judged]) -> tuple[str, ...]:
+def _sides(flats: Sequence[Judged]) -> str:
     told = [one.side_right for one in flats if one.side_right is not None]
-    return (
-        f"{size:g} m/s2",
-        *(_share([one for one in flats if one.vibration == vibration]) for vibration in VIBRATIONS),
-        _share([one for one in flats if one.speed < SLOW]),
-        _share([one for one in flats if one.speed >= SLOW]),
-        f"{len(told)} of {sum(one.found for one in flats)}, {sum(told)}",
-    )
+    return f"{len(told)} of {sum(one.found for one in flats)}, {sum(told)}"
+
+
+SIZE_COLUMNS: Columns = {
+    "blows at 20 m/s": lambda size, _: f"{size:g} m/s2",
+    **{
+        f"vibration {size:g} m/s2": lambda _, flats, size=size: _share([one for one in flats if one.vibration == size])
+        for size in VIBRATIONS
+    },
+    "below 15 m/s": lambda _, flats: _share([one for one in flats if one.speed < SLOW]),
+    "faster": lambda _, flats: _share([one for one in flats if one.speed >= SLOW]),
+    "side known, right": lambda _, flats: _sides(flats),
+}
 
 
 def bench_rows(found: Sequence[Judged]) -> Iterator[BenchRow]:
@@ -217,9 +216,9 @@ def _parts(options: argparse.Namespace, _folder: Path) -> Iterator[Part]:
         with suppress(DerailmentError):  # a drawn wheelset that climbs its rail at the drawn speed is no case
             found += list(judged_windows(seed))
         seed += 1
-    sizes = [_line(size, [one for one in found if one.what == "flat" and one.size == size]) for size in SIZES]
     yield EXPLANATION
-    yield ResultTable(HEADER, sizes, range(1, 7))
+    sizes = ((size, [one for one in found if one.what == "flat" and one.size == size]) for size in SIZES)
+    yield ResultTable.of(SIZE_COLUMNS, sizes, range(1, 7))
     yield row_table(bench_rows(found))
 
 
