@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bench.adhesion_fleet import Fleet, SensedWindow, true_friction
-from bench.scores import compared_at
+from bench.scores import AMPLITUDES, compared_at
 from estimation.adhesion.creep_forces import (
     ContactForces,
     FrictionParameters,
@@ -104,9 +104,6 @@ def compare(found: SectionAdhesion, stored: StoredPasses) -> FrictionScore:
 def _along(stored: StoredPasses, begin: float, end: float) -> FloatArray:
     s = np.arange(begin, end + STEP, STEP)
     return np.asarray(np.interp(s, stored.distance, stored.friction))
-
-
-AMPLITUDES = np.arange(4, 13) * 0.25e-3  # m
 
 
 @dataclass(slots=True)

@@ -16,10 +16,10 @@ import numpy as np
 
 from bench.rails_case import score, score_trend
 from bench.report import COLUMNS, Part, ResultTable
+from bench.scores import AMPLITUDES
 from bench.study import Case, Key, Study
 from estimation.errors import ScenarioError
 
-AMPLITUDES_MM = (1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 2.75, 3.0)
 KNOWN, THREE, TWO, NONE = "known rails", "three measured wheels", "two measured wheels", "none"
 HOLD = (KNOWN, THREE, TWO)  # the level
 REACH_RAILS, REACH_WHEELS, COVERS = 0.02, 0.01, (0.92, 0.98)
@@ -125,7 +125,7 @@ def _removed(results: Results) -> tuple[str, ...]:
 def _by_amplitude(results: Results) -> Rows:
     cases = _held_by(results, KNOWN)
     rows: Rows = []
-    for place, amplitude in enumerate(AMPLITUDES_MM):
+    for place, amplitude in enumerate(1e3 * AMPLITUDES):
         rails = _of_rails(cases, place)
         apart, today = (_of_wheels(cases, which, place) for which in ("apart", "today"))
         rows.append((f"{amplitude:g}", *_figures(rails), *_figures(apart), *_figures(today)))

@@ -12,7 +12,7 @@ import numpy as np
 
 from api.comparison.trial import ESTIMATION, deploy, opened, receive, record, register, run_jobs
 from api.settings import Settings
-from bench.scores import compared_at
+from bench.scores import AMPLITUDES, compared_at
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.profiles import wheel_profile
@@ -111,7 +111,6 @@ def reference_wheel(scenario: Scenario, amplitude: FloatArray) -> FloatArray:
     return equivalent_conicity(curve.displacement, curve.difference, amplitude)
 
 
-AMPLITUDES = tuple(float(a) for a in np.arange(4, 13) * 0.25e-3)  # m: 1.0 to 3.0 mm, as in the accuracy table
 ANCHORS: Mapping[str, tuple[str, ...]] = {
     "known rails": (KNOWN,),
     "none": (),
@@ -172,10 +171,9 @@ def whole_fleet(sections: Sequence[BenchSection], measured: int = 0) -> Scenario
 
 
 def _stored(unit: UnitOfWork, sections: Sequence[BenchSection]) -> Scored:
-    amplitude = np.array(AMPLITUDES)
     of_sections = []
     for one in sections:
-        stored, true = unit.results.latest(SECTION_RAILS, one.plan.code), reference_wheel(one.scenario, amplitude)
+        stored, true = unit.results.latest(SECTION_RAILS, one.plan.code), reference_wheel(one.scenario, AMPLITUDES)
         found = None if stored is None else stored.value
         part = None if found is None else found.periods[-1]
         of_sections.append(
@@ -185,11 +183,11 @@ def _stored(unit: UnitOfWork, sections: Sequence[BenchSection]) -> Scored:
                 "exceeded": None if found is None else found.exceeded,
                 "wheel": []
                 if part is None or found is None
-                else compared_at(amplitude, true, np.array(found.amplitude), part.reference_wheel),
+                else compared_at(AMPLITUDES, true, np.array(found.amplitude), part.reference_wheel),
             }
         )
     wheelsets = []
-    for serial, true in sorted(_true_wheels(sections, amplitude).items()):
+    for serial, true in sorted(_true_wheels(sections).items()):
         apart, geometry = unit.results.latest(WHEELSET_RAILS, serial), unit.geometries.current(serial)
         found_wheels = None if apart is None else apart.value
         now = None if geometry is None else geometry.geometry
@@ -197,14 +195,14 @@ def _stored(unit: UnitOfWork, sections: Sequence[BenchSection]) -> Scored:
             {
                 "apart": []
                 if found_wheels is None
-                else compared_at(amplitude, true, np.array(found_wheels.amplitude), found_wheels.part.conicity),
-                "today": [] if now is None else compared_at(amplitude, true, now.amplitude, now.conicity),
+                else compared_at(AMPLITUDES, true, np.array(found_wheels.amplitude), found_wheels.part.conicity),
+                "today": [] if now is None else compared_at(AMPLITUDES, true, now.amplitude, now.conicity),
             }
         )
     return {"sections": of_sections, "wheelsets": wheelsets}
 
 
-def _true_wheels(sections: Sequence[BenchSection], amplitude: FloatArray) -> dict[str, FloatArray]:
+def _true_wheels(sections: Sequence[BenchSection]) -> dict[str, FloatArray]:
     """Return by serial the true conicity (k,) on rails as on file."""
     found: dict[str, FloatArray] = {}
     known = sections[0].plan
@@ -212,7 +210,7 @@ def _true_wheels(sections: Sequence[BenchSection], amplitude: FloatArray) -> dic
         for wheelset in plan.wheelsets:
             contact = worn_contact(wheelset, wear_at(wheelset, 0.0), known, np.array([0.0]), 12e-3)
             true = truth_of(contact)
-            found[wheelset.serial] = np.interp(amplitude, true.amplitude, true.equivalent_conicity)
+            found[wheelset.serial] = np.interp(AMPLITUDES, true.amplitude, true.equivalent_conicity)
     return found
 
 

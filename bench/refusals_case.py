@@ -16,7 +16,7 @@ import numpy as np
 
 from bench.made_scenario import Tables, changed_scenario
 from bench.made_values import made_alignment, made_window
-from bench.scores import Compared, compared_at
+from bench.scores import AMPLITUDES, Compared, compared_at
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.model_fit import check_radius, rolling_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
@@ -50,7 +50,6 @@ from ingest.vehicle_class_schema import VehicleClassEntry
 
 SCENARIOS = Path(__file__).parent / "vehicle_scenarios"
 WINDOW_S = 60.0
-AMPLITUDES: FloatArray = np.asarray(np.arange(4, 13) * 0.25e-3)  # m
 RESOLUTION = (1e-3, 1e-3, 1e-3, 1e-3)  # of a count on the bus
 
 DIMENSIONS: Mapping[str, tuple[str, ...]] = {

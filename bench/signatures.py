@@ -75,11 +75,12 @@ def rows_of(cases: Sequence[Case], kind: str, place: str, name: str) -> Iterator
 
 def _errors(answers: Sequence[Case], what: str) -> BenchRow:
     errors = np.array([abs(one["value"] - one["truth"]) for one in answers if "value" in one])
-    median, most = np.quantile(errors, [0.5, 0.95])
-    text = (
-        f"median error {median:.4f}, 95th percentile {most:.4f}; {len(answers) - len(errors)} of {len(answers)} refused"
-    )
-    return BenchRow(what, text, "0.05", bool(most <= 0.05))
+    text = f"median error {_quantiles(errors)}; {len(answers) - len(errors)} of {len(answers)} refused"
+    return BenchRow(what, text, "0.05", bool(np.quantile(errors, 0.95) <= 0.05))
+
+
+def _quantiles(errors: np.ndarray) -> str:
+    return f"{np.median(errors):.4f}, 95th percentile {np.quantile(errors, 0.95):.4f}"
 
 
 def _seen_states(cases: Sequence[Case], kind: str) -> BenchRow:
@@ -103,7 +104,7 @@ def _product_rows(cases: Sequence[Case]) -> Iterator[BenchRow]:
         errors = np.abs([one["value"] - one["truth"] for one in known])
         covered = float(np.mean([one["low"] <= one["truth"] <= one["high"] for one in known]))
         text = (
-            f"median error {np.median(errors):.4f}, 95th percentile {np.quantile(errors, 0.95):.4f};"
+            f"median error {_quantiles(errors)};"
             f" {100 * covered:.1f} % of {len(known)} covered;"
             f" {sum(one['disagrees'] for one in known)} called different from the geometry;"
             f" {len(answers) - len(known)} of {len(answers)} refused"
@@ -129,9 +130,7 @@ def _rival_row(cases: Sequence[Case], rival: str) -> BenchRow:
     for place in ("same", "other"):
         pairs = np.array([pair for case in cases for pair in case["rivals"][rival][place]])
         errors = np.abs(pairs[:, 1] - pairs[:, 0])
-        parts.append(
-            f"{place} sections: median {np.median(errors):.4f}, 95th percentile {np.quantile(errors, 0.95):.4f}"
-        )
+        parts.append(f"{place} sections: median {_quantiles(errors)}")
     return BenchRow(
         f"{rival} on the same features, without places; true conicities on file", "; ".join(parts), "shown", met=True
     )

@@ -19,6 +19,7 @@ import numpy as np
 
 from bench.fleet_case import Conicities, by_row, cases_of, fleet_options, published_of, scored, summary_line
 from bench.report import Columns, ResultTable, say, yes_or_no
+from bench.scores import AMPLITUDES
 from bench.study import Case, Key, Study
 from bench.wheelset_motion import wheelset_motion
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
@@ -36,7 +37,6 @@ from ingest.simulator.track import TrackTruth
 MEASURED_ROWS = ("measured_known", "measured_unknown")
 PARTNERS = 3  # other wheels with which each one runs
 DISPLACEMENT = np.arange(-240, 241) * 0.05e-3  # m
-AMPLITUDES = tuple(float(a) for a in np.arange(4, 13) * 0.25e-3)  # m: 1 to 3 mm, as the rows are judged
 FURTHEST_ZERO = 3e-3  # m from the track centre, where both wheels roll on the same radius
 STEEPEST = math.radians(30.0)  # contact angle on the tread and its root; beyond is flange contact
 MOST_FLANGING = 0.01  # of a journey
