@@ -9,10 +9,10 @@ import pytest
 
 from bench.growth import REACH_IDLE, costs, of_one_more, runs
 from bench.measuring import INGEST
-from bench.small_fleets import workload
+from bench.small_fleets import FOUR_AXLES, Workload, deployed, small_fleet
 from tests.postgres_server import stoppable_server
 
-MINUTES = 1.0
+MINUTES = 1.5
 DAYS = 6
 VEHICLES = (2, 8)
 MOST_OF_ONE = {
@@ -29,6 +29,11 @@ MOST_OF_ONE = {
 MOST_OF_JOB, NOT_EVERY_DAY = 150, 20
 
 
+def worn(folder: Path, server: str | None = None) -> Workload:
+    """Return recordings of a vehicle so worn that alerts follow from them."""
+    return deployed(folder, small_fleet("K", {"1": [(2.4, 0.0)] * 4}, FOUR_AXLES, MINUTES), server)
+
+
 def is_flat(of_job: Sequence[int]) -> bool:
     """Return whether the last days cost no more than the third did, but for what not every day brings."""
     return max(of_job[2:]) <= of_job[2] + NOT_EVERY_DAY
@@ -36,17 +41,18 @@ def is_flat(of_job: Sequence[int]) -> bool:
 
 @pytest.mark.slow
 def test_a_wheelset_costs_few_statements_in_any_fleet_and_none_where_nothing_is_new(tmp_path: Path) -> None:
-    load = workload(tmp_path / "load", 1, MINUTES)
+    load = worn(tmp_path / "load")
     found = {size: costs(tmp_path / str(size), load, size) for size in VEHICLES}
     each = of_one_more({size: received.statements for size, (received, _) in found.items()})
     assert {name: count for name, count in each.items() if count > MOST_OF_ONE.get(name, 0.0)} == {}
+    assert each["evaluate_alerts"] > 0.0
     assert max(idle.statements.total() for _, idle in found.values()) <= REACH_IDLE
 
 
 @pytest.mark.slow
 def test_an_idle_run_asks_a_server_few_statements(tmp_path: Path) -> None:
     with stoppable_server() as server:
-        _, idle = costs(tmp_path / "fleet", workload(tmp_path / "load", 1, MINUTES, server.url), 2)
+        _, idle = costs(tmp_path / "fleet", worn(tmp_path / "load", server.url), 2)
     assert idle.statements.total() <= REACH_IDLE
 
 
