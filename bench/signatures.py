@@ -295,17 +295,18 @@ def _rival(made: SimulatedFleet, *, linear: bool) -> dict[str, list[tuple[float,
 
 def _retired(passes: Simulated, seed: int) -> dict[str, float]:
     """Return how many stretches of a section that was worked on are found, and of others; half of it was tamped."""
-    tamped = passes.tamped
-    found = current(entries(passes.retracked, np.random.default_rng([seed, 9]), MEASURED_STD), SignatureParameters())
+    tamped, limit = passes.tamped, SignatureParameters().largest_distance
+    known = entries(passes.retracked, np.random.default_rng([seed, 9]), MEASURED_STD)
+    tried = current(known, replace(SignatureParameters(), largest_distance=0.0)).changes
     places = {item.place for one in passes.retracked for item in one.signatures}
-    changed = {change.place for change in found.changes}
+    changed = {one.place for one in tried if one.distance > limit}
     return {
         "worked_on": len(places & tamped),
         "found": len(changed & tamped),
         "others": len(places - tamped),
         "false": len(changed - tamped),
-        "least": min((one.distance for one in found.tried if one.place in tamped), default=0.0),
-        "most": max((one.distance for one in found.tried if one.place not in tamped), default=0.0),
+        "least": min((one.distance for one in tried if one.place in tamped), default=0.0),
+        "most": max((one.distance for one in tried if one.place not in tamped), default=0.0),
     }
 
 
