@@ -12,24 +12,22 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 
 DEFAULT = ("contact", "estimation", "trend", "en15302")
 OF_A_FLEET = (
-    *("logs", "new_window", "stored", "idle", "pipeline", "section_runs", "workers", "chunks", "sustained"),
-    "fleet_sizes",
+    *("logs", "new_window", "stored", "pipeline", "section_runs", "workers", "chunks", "sustained", "fleet_sizes"),
 )
 NAMES = (
     *DEFAULT,
     *("section", "world", "vehicles", "refusals", "rivals", "signatures", "surveys", "adhesion", "rails", "dampers"),
     *("flats", "steps", "limits"),
     *OF_A_FLEET,
-    *("statements", "api", "feed", "page", "chaos", "mutants", "house"),
+    *("api", "feed", "page", "fuzz", "chaos", "mutants", "house"),
 )
 GROUPS = {"fleet": OF_A_FLEET}
 """What a fleet costs, of more than an hour."""
 
 MODULES = {
-    "fleet_sizes": "pipeline",
-    "section_runs": "pipeline",
+    "fleet_sizes": "growth",
+    "section_runs": "growth",
     "sustained": "workers",
-    "chunks": "api",
     "chaos": "chaos.run",
 }
 

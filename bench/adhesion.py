@@ -1,9 +1,8 @@
-"""Creep forces and friction: ``python -m bench adhesion [--seeds 0-2] [--rows low,...] [--out FILE] [--write-docs]``.
+"""Creep forces and friction: ``python -m bench adhesion [--seeds 0-2] [--rows low,...] [--write-docs]``.
 
 Every row is a scenario file in ``bench/adhesion_scenarios``; every seed of it is simulated and estimated by the pure
 functions that the jobs use (``adhesion_case``). ``wrong_file`` stands for the rows of ``adhesion_rows`` whose file is
-wrong, ``quiet_rows`` for those with quiet sensors. The passes of each case stay in ``--sums``: ``--again`` pools them,
-which judges a change of pooling or decision in seconds.
+wrong, ``quiet_rows`` for those with quiet sensors.
 """
 
 from __future__ import annotations
@@ -17,8 +16,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from bench.adhesion_case import LOW, judge, path_of, read_passes, score, vehicle_km, write_passes
-from bench.adhesion_fleet import simulate
+from bench.adhesion_case import LOW, judge, score, vehicle_km
+from bench.adhesion_fleet import Fleet, simulate
 from bench.adhesion_rows import (
     OF,
     ONE,
@@ -30,33 +29,16 @@ from bench.adhesion_rows import (
     quiet_scenario,
     with_others,
 )
-from bench.report import BenchRow, ResultTable, row_table
-from bench.study import Case, Key, Study, stored_cases
+from bench.report import BenchRow, Columns, ResultTable, row_table
+from bench.study import Case, Key, Study
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario_file import load_scenario
 
 SCENARIOS = Path(__file__).parent / "adhesion_scenarios"
 FILES = tuple(sorted({path.stem for path in SCENARIOS.glob("*.toml")} - set(QUIET)))
-ROWS = (*FILES, *QUIET, *WRONG, *ONE)  # a row of one vehicle comes behind those that it is put together from
+ROWS = (*FILES, *QUIET, *WRONG, *ONE)
 GROUPS = {"wrong_file": (*WRONG, *ONE), "quiet_rows": tuple(QUIET)}
-KEY = ("row", "seed")
 LEAST_LENGTH = 50.0  # m, of a place: what is shorter is not separated
-FRICTION_COLUMNS = (
-    "row",
-    "seeds",
-    "lateral creep",
-    "yaw moment",
-    "stretches below 0.15, of 50 m or more, found",
-    "alarms without",
-    "vehicle-km",
-    "places with an interval",
-    "of those covered",
-    "error of friction at 0.12 to 0.18, mean and std",
-    "lower bounds that hold",
-    "seeds with a vehicle left out",
-    "conicity error, all samples",
-    "without low friction",
-)
 JUDGED = "low"  # the row of the wanted numbers
 WRONG_ROWS = {*WRONG, *ONE}
 LEAST_HELD = 0.92  # share of intervals and of lower bounds, in rows whose file is wrong
@@ -183,35 +165,6 @@ def _by_row(cases: Sequence[Case]) -> str:
     return "; ".join(some) or f"none in any of {len(rows)} rows"
 
 
-def friction_rows(cases: Sequence[Case]) -> list[tuple[str, ...]]:
-    """Return a row of cells for every row of the bench."""
-    rows: list[tuple[str, ...]] = []
-    for name in sorted({case["row"] for case in cases}):
-        of = [case for case in cases if case["row"] == name]
-        cells = [cell for case in of for cell in case["cells"]]
-        covered, bounded = _held(of)
-        found = _found(of, LEAST_LENGTH)
-        rows.append(
-            (
-                name,
-                str(len(of)),
-                _percent(_share(of, "lateral")),
-                _percent(_share(of, "moment")),
-                f"{sum(found)} of {len(found)}" if cells else "",
-                str(_false(of)) if cells else "",
-                f"{sum(case['vehicle_km'] for case in of):.0f}",
-                f"{len(covered)} of {len(cells)}" if cells else "",
-                _percent(np.mean(covered)) if covered else "",
-                _near_limit(cells),
-                _percent(np.mean(bounded)) if bounded else "",
-                str(sum(bool(case.get("left_out")) for case in of)) if cells else "",
-                _error(_errors(of, "conicity_all")),
-                _error(_errors(of, "conicity_left_out")),
-            )
-        )
-    return rows
-
-
 def _near_limit(cells: Iterable[Case]) -> str:
     """Return the mean and the std of the errors of friction of places near the limit."""
     near = [one for one in cells if one["value"] is not None and NEAR[0] <= one["mean"] < NEAR[1]]
@@ -263,51 +216,75 @@ def _error(errors: np.ndarray) -> str:
     return f"{errors.mean():+.4f}, {np.abs(errors).mean():.4f}" if len(errors) else ""
 
 
+FRICTION_COLUMNS: Columns = {  # of a row, its cases and their places
+    "row": lambda name, *_: name,
+    "seeds": lambda _, of, __: str(len(of)),
+    "lateral creep": lambda _, of, __: _percent(_share(of, "lateral")),
+    "yaw moment": lambda _, of, __: _percent(_share(of, "moment")),
+    "stretches below 0.15, of 50 m or more, found": lambda _, of, places: _count(_found(of, LEAST_LENGTH), places),
+    "alarms without": lambda _, of, places: str(_false(of)) if places else "",
+    "vehicle-km": lambda _, of, __: f"{sum(case['vehicle_km'] for case in of):.0f}",
+    "places with an interval": lambda _, of, places: f"{len(_held(of)[0])} of {len(places)}" if places else "",
+    "of those covered": lambda _, of, __: _mean(_held(of)[0]),
+    "error of friction at 0.12 to 0.18, mean and std": lambda *given: _near_limit(given[2]),
+    "lower bounds that hold": lambda _, of, __: _mean(_held(of)[1]),
+    "seeds with a vehicle left out": lambda _, of, places: (
+        str(sum(bool(case.get("left_out")) for case in of)) if places else ""
+    ),
+    "conicity error, all samples": lambda _, of, __: _error(_errors(of, "conicity_all")),
+    "without low friction": lambda _, of, __: _error(_errors(of, "conicity_left_out")),
+}
+
+
+def friction_table(cases: Sequence[Case]) -> ResultTable:
+    """Return a line for every row of the bench."""
+    by_row = {name: [case for case in cases if case["row"] == name] for name in sorted({case["row"] for case in cases})}
+    groups = ((name, of, [cell for case in of for cell in case["cells"]]) for name, of in by_row.items())
+    return ResultTable.of(FRICTION_COLUMNS, groups)
+
+
+def _count(found: Sequence[bool], places: Sequence[Case]) -> str:
+    return f"{sum(found)} of {len(found)}" if places else ""
+
+
+def _mean(held: Sequence[bool]) -> str:
+    return _percent(np.mean(held)) if held else ""
+
+
 def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]:
-    if options.again:
-        stored = {(case["row"], case["seed"]): case for case in stored_cases(options.out, KEY)}
-        for row, seed in sorted(done):
-            path = path_of(options.sums, row, seed)
-            if path.exists():
-                yield stored[row, seed] | asdict(judge(read_passes(path)))
-        return
     for seed in options.seeds:
-        yield from _of_seed([row for row in options.rows if (row, seed) not in done], seed, options.sums)
+        yield from _of_seed([row for row in options.rows if (row, seed) not in done], seed)
 
 
-def _of_seed(rows: Sequence[str], seed: int, sums: Path) -> Iterator[dict[str, Any]]:
+def _of_seed(rows: Sequence[str], seed: int) -> Iterator[dict[str, Any]]:
     """Yield the cases of rows for a seed; a scenario that rows share is simulated once."""
     for row in rows:
         if row in QUIET:
             quiet = as_seen(simulate(with_seed(quiet_scenario(SCENARIOS, QUIET[row]), seed)), QUIET[row])
-            yield score(quiet, row, sums, left_out_too=False).as_json()
+            yield score(quiet, row, left_out_too=False).as_json()
     for file in FILES:
-        own = [row for row in rows if row == file or (file == OF and row in WRONG | ONE)]
-        if not own:
+        of_file = [row for row in rows if row == file or (file == OF and row in WRONG | ONE)]
+        if not of_file:
             continue
         fleet = simulate(with_seed(load_scenario(SCENARIOS / f"{file}.toml"), seed))
-        for row in own:
-            if row in ONE:
-                case = score(as_on_file(first_vehicle(fleet), ONE[row]), row, sums, left_out_too=False).as_json()
-                yield case | _with_others(row, seed, sums) | {"vehicle_km": vehicle_km(fleet)}
-            else:
-                seen = as_on_file(fleet, WRONG[row]) if row in WRONG else fleet
-                yield score(seen, row, sums, left_out_too=row == file).as_json()
+        if file in of_file:
+            yield score(fleet, file).as_json()
+        for row in of_file:
+            if row in WRONG:
+                yield score(as_on_file(fleet, WRONG[row]), row, left_out_too=False).as_json()
+        if any(row in ONE for row in of_file):
+            yield from _ones(fleet, [row for row in of_file if row in ONE])
 
 
-def _with_others(row: str, seed: int, sums: Path) -> dict[str, Any]:
-    """Return the friction of a fleet whose first vehicle alone is wrong; keep its passes in place of that vehicle's."""
-    own, right = path_of(sums, row, seed), path_of(sums, OF, seed)
-    if not right.exists():
-        raise SystemExit(f"row {row} needs row {OF} of seed {seed}")
-    stored = with_others(read_passes(own), read_passes(right))
-    write_passes(own, stored)
-    return asdict(judge(stored))
-
-
-def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--sums", type=Path, default=Path("bench-results/adhesion-sums"), help="folder of the passes")
-    parser.add_argument("--again", action="store_true", help="run no case, pool the passes of those in --out again")
+def _ones(fleet: Fleet, rows: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Yield the cases of a fleet whose first vehicle alone is wrong: the passes of the others are as they were."""
+    right = score(fleet, OF, left_out_too=False).stored
+    for row in rows:
+        case = score(as_on_file(first_vehicle(fleet), ONE[row]), row, left_out_too=False)
+        assert case.stored is not None
+        assert right is not None
+        friction = judge(with_others(case.stored, right))
+        yield case.as_json() | asdict(friction) | {"vehicle_km": vehicle_km(fleet)}
 
 
 def _line(case: Case) -> str:
@@ -320,9 +297,8 @@ main = Study(
     title="Creep forces and friction",
     about=__doc__ or "",
     cases=_cases,
-    parts=lambda cases: [row_table(summary(cases)), ResultTable(FRICTION_COLUMNS, friction_rows(cases))],
+    parts=lambda cases: [row_table(summary(cases)), friction_table(cases)],
     line=_line,
     rows=ROWS,
     groups=GROUPS,
-    options=_options,
 ).run

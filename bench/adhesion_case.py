@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import pickle
 import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from bench.adhesion_fleet import Fleet, SensedWindow, true_friction
+from bench.scores import AMPLITUDES, compared_at
 from estimation.adhesion.creep_forces import (
     ContactForces,
     FrictionParameters,
@@ -48,23 +47,6 @@ class StoredPasses:
     distance: FloatArray  # (n,) m
     friction: FloatArray  # (n,) true coefficient there
     length: float  # m, of the section
-
-
-def path_of(folder: Path, row: str, seed: int) -> Path:
-    """Return the file of a case."""
-    return folder / f"{row}-{seed}.pickle"
-
-
-def write_passes(path: Path, stored: StoredPasses) -> None:
-    """Write the passes of a case: pooling and decision are judged again without simulating."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(pickle.dumps(stored))
-
-
-def read_passes(path: Path) -> StoredPasses:
-    """Read what ``write_passes`` wrote."""
-    stored: StoredPasses = pickle.loads(path.read_bytes())  # noqa: S301 - written by the lines above
-    return stored
 
 
 LOW = 0.15
@@ -103,7 +85,6 @@ def compare(found: SectionAdhesion, stored: StoredPasses) -> FrictionScore:
                 "low": cell.friction.low,
                 "high": cell.friction.high,
                 "at_least": cell.at_least,
-                "probability": cell.low_probability,
             }
         )
     passed = [cell.from_m for cell in found.cells if cell.friction.value is not None or cell.at_least]
@@ -123,9 +104,6 @@ def compare(found: SectionAdhesion, stored: StoredPasses) -> FrictionScore:
 def _along(stored: StoredPasses, begin: float, end: float) -> FloatArray:
     s = np.arange(begin, end + STEP, STEP)
     return np.asarray(np.interp(s, stored.distance, stored.friction))
-
-
-AMPLITUDES = np.arange(4, 13) * 0.25e-3  # m
 
 
 @dataclass(slots=True)
@@ -158,15 +136,17 @@ class AdhesionScore:
     conicity_left_out: list[float] = field(default_factory=list)  # without samples on low friction
     force_seconds: float = 0.0
     wheelset_seconds: float = 0.0
+    stored: StoredPasses | None = None  # None where there is no friction
 
     def as_json(self) -> dict[str, Any]:
-        """Return everything as JSON values."""
-        values = asdict(self)
+        """Return everything but the passes as JSON values."""
+        values = asdict(replace(self, stored=None))
+        del values["stored"]
         return values | values.pop("friction")
 
 
-def score(fleet: Fleet, row: str, folder: Path, *, left_out_too: bool = True) -> AdhesionScore:
-    """Compare what is estimated of a fleet with the truth; keep its passes in a folder.
+def score(fleet: Fleet, row: str, *, left_out_too: bool = True) -> AdhesionScore:
+    """Compare what is estimated of a fleet with the truth.
 
     ``left_out_too`` says that the geometry without the samples on low friction is estimated beside.
     """
@@ -181,12 +161,11 @@ def score(fleet: Fleet, row: str, folder: Path, *, left_out_too: bool = True) ->
         return done
     s = np.arange(fleet.track.s[0], fleet.track.s[-1], STEP)
     friction = true_friction(scenario, fleet.track, 0, s)
-    stored = StoredPasses(scenario.section.code, tuple(passes), s, friction, _length(fleet))
-    write_passes(path_of(folder, row, scenario.seed), stored)
-    found = section_adhesion(scenario.section.code, passes, FrictionParameters(), stored.length)
+    done.stored = StoredPasses(scenario.section.code, tuple(passes), s, friction, _length(fleet))
+    found = section_adhesion(scenario.section.code, passes, FrictionParameters(), done.stored.length)
     if found is None:
         return done
-    done.friction = compare(found, stored)
+    done.friction = compare(found, done.stored)
     if not left_out_too:
         return done
     if not found.certain_stretches:
@@ -227,17 +206,12 @@ def _geometries(
 def _conicity_errors(scenario: Scenario, fleet: Fleet, geometries: Mapping[str, WheelsetGeometry]) -> list[float]:
     """Return the errors of every conicity that is published at 1 to 3 mm."""
     errors = []
-    for vehicle in scenario.vehicles:
-        for plan in vehicle.wheelsets:
-            if plan.serial not in geometries:
-                continue
-            truth = true_geometry(scenario, plan, contact_of(scenario, fleet.track, plan, scenario.odometer(0)))
-            geometry = geometries[plan.serial]
-            for amplitude, estimate in zip(geometry.amplitude, geometry.conicity, strict=True):
-                at = np.flatnonzero(np.isclose(truth.amplitude, amplitude))
-                wanted = np.isclose(AMPLITUDES, amplitude).any() and len(at)
-                if wanted and estimate.value is not None:
-                    errors.append(float(estimate.value - truth.equivalent_conicity[at[0]]))
+    for plan in (one for vehicle in scenario.vehicles for one in vehicle.wheelsets if one.serial in geometries):
+        truth = true_geometry(scenario, plan, contact_of(scenario, fleet.track, plan, scenario.odometer(0)))
+        true = np.interp(AMPLITUDES, truth.amplitude, truth.equivalent_conicity)
+        geometry = geometries[plan.serial]
+        found = compared_at(AMPLITUDES, true, geometry.amplitude, geometry.conicity)
+        errors += [one.error for one in found if one is not None]
     return errors
 
 

@@ -8,19 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from functools import cache
 
 import numpy as np
 from scipy.signal import firwin
 
 from bench.made_values import made_alignment, made_window
-from estimation.contact.geometry import ContactTable
+from bench.wheelset_motion import gears_of
 from estimation.motion.axle_distance import with_frame_yaw
 from estimation.values.arrays import FloatArray
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window, WindowQuality
 from estimation.vehicle.vehicle_class import Arrangement, SensorChannel, SensorLayout, VehicleClass, VehicleParameters
-from ingest.simulator.axle_motion import axle_motions, contact_of, together
+from ingest.simulator.axle_motion import contact_of
 from ingest.simulator.campaign import (
     VehicleRun,
     friction_factor,
@@ -101,17 +100,11 @@ def simulate(scenario: Scenario) -> Fleet:
 
 
 def _windows(scenario: Scenario, track: TrackTruth) -> Iterator[SensedWindow]:
-    @cache
-    def table(vehicle: str, axle: int) -> ContactTable:
-        plan = scenario.vehicle(vehicle).wheelsets[axle]
-        return contact_of(scenario, track, plan, scenario.odometer(0)).table
-
     for vehicle in scenario.vehicles:
+        tables = [contact_of(scenario, track, plan, scenario.odometer(0)).table for plan in vehicle.wheelsets]
         for campaign in range(scenario.sessions.campaigns):
             run = vehicle_run(scenario, track, vehicle, campaign)
-            for first in range(0, len(vehicle.wheelsets), len(together(scenario, vehicle, 0))):
-                axles = together(scenario, vehicle, first)
-                motions = axle_motions(scenario, track, run, axles, [table(vehicle.code, axle) for axle in axles])
+            for axles, motions in gears_of(scenario, track, run, tables):
                 yield from _of_gear(scenario, track, run, axles, motions)
 
 

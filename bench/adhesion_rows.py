@@ -12,7 +12,6 @@ which are due.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,13 +21,11 @@ import numpy as np
 
 from bench.adhesion_case import StoredPasses
 from bench.adhesion_fleet import Fleet, SensedWindow
+from bench.made_scenario import changed_scenario
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import BogieParameters, VehicleClass
-from ingest.file_value import read_value
-from ingest.input_file import InputFile
 from ingest.simulator.scenario import Scenario
-from ingest.simulator.scenario_file import ScenarioTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,10 +164,7 @@ QUIET = {
 
 def quiet_scenario(folder: Path, row: QuietRow) -> Scenario:
     """Return the scenario of a row; the folder has the file of that which rows change."""
-    path = folder / f"{QUIET_OF}.toml"
-    tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    changed = {name: tables.get(name, {}) | dict(table) for name, table in row.tables.items()}
-    return read_value(InputFile(path, tables | changed), ScenarioTable).scenario()
+    return changed_scenario(folder / f"{QUIET_OF}.toml", row.tables)
 
 
 def as_seen(fleet: Fleet, row: QuietRow) -> Fleet:

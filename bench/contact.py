@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from api.terminal.contact import Contact, FileOptions, measured_shapes, table_text
-from bench.report import BenchRow, RowBench
+from bench.report import BenchRow, row_bench
 from estimation.contact.conicity import MeasuredShapes, conicity_std, equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve
 from estimation.contact.method import ContactMethod
@@ -303,4 +303,4 @@ def _timed(wheel_name: str, rail_name: str, inclination: float) -> BenchRow:
     return BenchRow(what, f"{seconds:.3f} s (median of {RUNS})", "< 0.3 s on one core", seconds < 0.3)
 
 
-main = RowBench("contact", "Contact geometry against EN 15302", __doc__ or "", lambda _options, _folder: rows()).run
+main = row_bench("contact", "Contact geometry against EN 15302", __doc__, lambda _options, _folder: rows()).run

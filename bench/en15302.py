@@ -1,10 +1,9 @@
 """The conicity of a wheelset in motion against that of EN 15302, by pair of profiles; no sensor has noise.
 
 Each wheelset runs at 20 m/s along an alignment of 2 mm std by the equations of motion, rigid with roll, and its motion
-is estimated four times: on track of which the sensors show that it is level, on track that may roll, and with what was
-taken for the displacement before: that of the axle, measured, or by a roll of the contact that is alike for all wheels.
-The truth is contact without roll at nominal gauge. Behind the first two are the half widths of their intervals by what
-is left open of the displacement.
+is estimated three times: on track of which the sensors show that it is level, on track that may roll, and by the
+displacement of the axle as it is. The truth is contact without roll at nominal gauge. Behind the first two are the half
+widths of their intervals by what is left open of the displacement.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from itertools import islice
 import numpy as np
 
 from api.reproduction import ideal_motion
-from bench.report import BenchRow, RowBench
+from bench.report import BenchRow, row_bench
 from bench.worn_family import PAIRS, USUAL_CONICITY, wheelsets
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve, refined_curve
@@ -139,9 +138,8 @@ P8_SLOPE = 0.228  # lambda of P8 on 60E1 1:40, which is straight
 BOGIES = ("coach", "soft_bogie", "freight")
 OPPOSITE = (0.5e-3, -0.5e-3)  # m, rho of the front and the rear wheelset: 1 mm of diameter each
 HELD_REACH = 0.06e-3  # m
-FORMS = ("level", "rolling", "axle", "alike")
+FORMS = ("level", "rolling", "axle")
 ROLLS = {"level": ContactRoll.SEEN, "rolling": ContactRoll.HIDDEN}
-ALIKE = 0.105  # rad/m
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,10 +205,7 @@ def _run(wheelset: WheelsetOnTrack, vehicle: VehicleParameters) -> WheelsetMotio
 def _estimated(ran: WheelsetMotion, vehicle: VehicleParameters, form: str) -> FloatArray:
     """Return conicities and the upper ends of their intervals (2, 3)."""
     motion = ideal_motion(ran)
-    if form == "alike":
-        at_rails = motion.displacement + vehicle.nominal_radius * motion.roll
-        motion = replace(motion, displacement=at_rails / (1.0 + vehicle.nominal_radius * ALIKE))
-    elif form != "axle":
+    if form != "axle":
         x = standard_displacement(motion.displacement, motion.roll, vehicle.nominal_radius, level=form == "rolling")
         motion = replace(motion, displacement=x)
     parameters = bin_table.BinParameters(vehicle=vehicle)
@@ -263,7 +258,6 @@ _NAMES = {
     "level": "level track",
     "rolling": "track that may roll",
     "axle": "before: axle",
-    "alike": "roll of 0.105 rad/m",
 }
 
 
@@ -273,6 +267,6 @@ def _percent(error: FloatArray, true: FloatArray, *, with_interval: bool) -> str
     return text + (" (half width " + " / ".join(f"{one:.1f}" for one in half) + ")" if with_interval else "")
 
 
-main = RowBench(
-    "en15302", "Conicity of wheelsets in motion against EN 15302", __doc__ or "", lambda _options, _folder: rows()
+main = row_bench(
+    "en15302", "Conicity of wheelsets in motion against EN 15302", __doc__, lambda _options, _folder: rows()
 ).run

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from api import reproduction
-from bench.report import BenchRow, RowBench
+from bench.report import BenchRow, row_bench
 from estimation.values.geometry import COMBINATIONS, BinStatus
 
 SECONDS = 600.0
@@ -98,4 +98,4 @@ def gauge_rows() -> Iterator[BenchRow]:
     )
 
 
-main = RowBench("estimation", "Accuracy on known track", __doc__ or "", lambda _options, _folder: rows()).run
+main = row_bench("estimation", "Accuracy on known track", __doc__, lambda _options, _folder: rows()).run

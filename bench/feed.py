@@ -19,7 +19,7 @@ import sys
 import time
 import urllib.parse
 import urllib.request
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -29,9 +29,9 @@ import numpy as np
 
 from api.factory import open_store
 from api.settings import Settings
-from bench.api import WORKERS, filled_database, served
-from bench.report import BenchRow, ResultTable, ended, say
-from bench.services import DATABASES, until
+from bench.report import Bench, BenchRow, Part, ResultTable, say
+from bench.served import WORKERS, filled_database, served
+from bench.services import DATABASES, started_program, until
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity
 from estimation.values.registry import FleetRecord, WheelsetRecord
 from fleet_db.storage import SqlStorage
@@ -69,19 +69,13 @@ class Service:
         return ["-m", "bench.feed", "poll", self.url, self.key, str(file)]
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run both; return 1 where one falls short."""
-    parser = argparse.ArgumentParser("python -m bench feed", description=__doc__)
-    parser.add_argument("--databases", nargs="+", default=list(DATABASES), choices=DATABASES)
-    parser.add_argument("--write-docs", action="store_true", help="write docs/results/feed.md")
-    options = parser.parse_args(arguments)
+def _parts(options: argparse.Namespace, _folder: Path) -> Iterator[Part]:
     rows = []
     for database in options.databases:
         for row in _of(database):
             say(f"{database}: {row.what}: {row.measured}")
             rows.append((database, *row.cells))
-    command = "python -m bench feed --write-docs" if options.write_docs else None
-    return ended([ResultTable(COLUMNS, rows)], "feed", "The feed", command)
+    yield ResultTable(COLUMNS, rows)
 
 
 def _of(database: str) -> Iterator[BenchRow]:
@@ -159,9 +153,9 @@ async def _listen(reader: asyncio.StreamReader, got: dict[bytes, int]) -> None:
 
 def _exactly_once(service: Service) -> BenchRow:
     """Let writers commit while pollers are killed, and compare what pollers got with what is in the feed."""
-    writing = [_started(service.write(one, STEPS, 0.005), quiet=True) for one in range(WRITERS)]
+    writing = [started_program(service.write(one, STEPS, 0.005), os.environ) for one in range(WRITERS)]
     files = [service.folder / f"poller-{one}" for one in range(POLLERS)]
-    polling = [_started(service.poll(file)) for file in files]
+    polling = [started_program(service.poll(file), os.environ) for file in files]
     draw, kills = random.Random(12), 0  # noqa: S311 - which poller is killed when, the same in every run
     try:
         while any(one.poll() is None for one in writing):
@@ -170,7 +164,7 @@ def _exactly_once(service: Service) -> BenchRow:
             polling[victim].kill()
             polling[victim].wait()
             kills += 1
-            polling[victim] = _started(service.poll(files[victim]))
+            polling[victim] = started_program(service.poll(files[victim]), os.environ)
         if any(one.returncode for one in writing):
             raise RuntimeError("a writer has failed")
         with service.storage.read() as unit:
@@ -191,11 +185,6 @@ def _exactly_once(service: Service) -> BenchRow:
         "0, 0, 0",
         missed == doubled == out_of_order == 0,
     )
-
-
-def _started(arguments: list[str], *, quiet: bool = False) -> subprocess.Popen[bytes]:
-    output = subprocess.DEVNULL if quiet else None
-    return subprocess.Popen([sys.executable, *arguments], stdout=output)  # noqa: S603 - our own command
 
 
 def _new_alert(writer: int) -> Alert:
@@ -259,6 +248,10 @@ def _poll(url: str, key: str, file: Path) -> None:
         line = {"notes": [item["note"] for item in page["items"]], "cursor": cursor}
         os.write(handle, json.dumps(line).encode() + b"\n")
 
+
+main = Bench(
+    "feed", "The feed", __doc__ or "", _parts, {"databases": (list(DATABASES), "that are used", DATABASES)}
+).run
 
 if __name__ == "__main__":
     if sys.argv[1] == "write":

@@ -7,6 +7,7 @@ contact. The window is judged as ingest judges it. Constants were chosen on seed
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -14,12 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.report import BenchRow, ResultTable, ended, options_of, row_table
+from bench.report import Bench, BenchRow, Columns, Part, ResultTable, row_table
+from bench.wheelset_motion import gears_of
 from estimation.motion.hunting import find_hunting
 from estimation.motion.without_blows import blows_unless_hunting
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import TurnBlows
-from ingest.simulator.axle_motion import DerailmentError, axle_motions, contact_of
+from ingest.simulator.axle_motion import DerailmentError, contact_of
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.motion import STEP, WheelsetMotion
@@ -50,7 +52,7 @@ class Judged:
     vibration: float
     speed: float  # m/s, mean
     found: bool
-    side_right: bool | None  # None where none was said
+    side_right: bool | None  # None where no side is told
     clipped: float  # share of the samples
 
 
@@ -64,8 +66,8 @@ def judged_windows(seed: int) -> Iterator[Judged]:
     for axle, motion in _motions(scenario):
         vibration = float(rng.choice(VIBRATIONS))
         radius = scenario.vehicles[0].wheelsets[axle].nominal_radius
-        for what, size, struck, left in _cases(motion, radius, rng):
-            values = _measured(scenario, struck, vibration, rng)
+        for what, size, felt, left in _cases(motion, radius, rng):
+            values = _measured(scenario, felt, vibration, rng)
             blows = judged(values, motion.speed[:: scenario.sensors.stride], 1.0 / scenario.sensors.rate_hz)
             believed = blows.sustained and abs(blows.turn_m / (2.0 * np.pi * radius) - 1.0) <= NEAR
             side = None if not believed or blows.side == 0 else (blows.side > 0) == left
@@ -87,12 +89,9 @@ def judged(values: FloatArray, speed: FloatArray, interval_s: float) -> TurnBlow
 
 def _motions(scenario: Scenario) -> Iterator[tuple[int, WheelsetMotion]]:
     track, plan = scenario_track(scenario), scenario.vehicles[0]
-    contacts = [contact_of(scenario, track, one, scenario.odometer(0)).table for one in plan.wheelsets]
-    run = vehicle_run(scenario, track, plan, 0)
-    together = 1 if scenario.bogie is None else 2
-    for first in range(0, len(plan.wheelsets), together):
-        group = tuple(range(first, first + together))
-        yield from zip(group, axle_motions(scenario, track, run, group, [contacts[k] for k in group]), strict=True)
+    tables = [contact_of(scenario, track, one, scenario.odometer(0)).table for one in plan.wheelsets]
+    for axles, motions in gears_of(scenario, track, vehicle_run(scenario, track, plan, 0), tables):
+        yield from zip(axles, motions, strict=True)
 
 
 def _cases(
@@ -151,15 +150,6 @@ def _measured(scenario: Scenario, motion: WheelsetMotion, vibration: float, rng:
     return np.clip(record.values[: round(WINDOW_S / STEP / scenario.sensors.stride)], -RANGE, RANGE)
 
 
-TITLE = "Wheel flats"
-OPTIONS = {"wheelsets": (320, "windows of wheelsets"), "first-seed": (200, "seeds go up from here")}
-HEADER = (
-    "blows at 20 m/s",
-    *(f"vibration {one:g} m/s2" for one in VIBRATIONS),
-    "below 15 m/s",
-    "faster",
-    "side known, right",
-)
 FALSE_ALARMS = 0.003  # share of the windows without a flat
 POWER = 0.99  # from 40 m/s2 on, of vibration up to 5 m/s2
 POWER_OF_ROUGH = 0.95  # from 60 m/s2 on, of 10 m/s2
@@ -171,15 +161,21 @@ EXPLANATION = (
 )
 
 
-def _line(size: float, flats: Sequence[Judged]) -> tuple[str, ...]:
+def _sides(flats: Sequence[Judged]) -> str:
     sided = [one.side_right for one in flats if one.side_right is not None]
-    return (
-        f"{size:g} m/s2",
-        *(_share([one for one in flats if one.vibration == vibration]) for vibration in VIBRATIONS),
-        _share([one for one in flats if one.speed < SLOW]),
-        _share([one for one in flats if one.speed >= SLOW]),
-        f"{len(sided)} of {sum(one.found for one in flats)}, {sum(sided)}",
-    )
+    return f"{len(sided)} of {sum(one.found for one in flats)}, {sum(sided)}"
+
+
+SIZE_COLUMNS: Columns = {
+    "blows at 20 m/s": lambda size, _: f"{size:g} m/s2",
+    **{
+        f"vibration {size:g} m/s2": lambda _, flats, size=size: _share([one for one in flats if one.vibration == size])
+        for size in VIBRATIONS
+    },
+    "below 15 m/s": lambda _, flats: _share([one for one in flats if one.speed < SLOW]),
+    "faster": lambda _, flats: _share([one for one in flats if one.speed >= SLOW]),
+    "side known, right": lambda _, flats: _sides(flats),
+}
 
 
 def bench_rows(found: Sequence[Judged]) -> Iterator[BenchRow]:
@@ -214,15 +210,22 @@ def _share(windows: Sequence[Judged]) -> str:
     return f"{sum(one.found for one in windows)} of {len(windows)}"
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run what was asked for; return 1 when a row falls short."""
-    options = options_of("flats", __doc__ or "", OPTIONS, arguments)
+def _parts(options: argparse.Namespace, _folder: Path) -> Iterator[Part]:
     found, seed = list[Judged](), options.first_seed
     while len({one.window for one in found}) < options.wheelsets:
         with suppress(DerailmentError):  # a drawn wheelset that climbs its rail at the drawn speed is no case
             found += list(judged_windows(seed))
         seed += 1
-    sizes = [_line(size, [one for one in found if one.what == "flat" and one.size == size]) for size in SIZES]
-    parts = [EXPLANATION, ResultTable(HEADER, sizes, range(1, 7)), row_table(bench_rows(found))]
-    command = f"python -m bench flats --wheelsets {options.wheelsets} --write-docs" if options.write_docs else None
-    return ended(parts, "flats", TITLE, command)
+    yield EXPLANATION
+    sizes = ((size, [one for one in found if one.what == "flat" and one.size == size]) for size in SIZES)
+    yield ResultTable.of(SIZE_COLUMNS, sizes, range(1, 7))
+    yield row_table(bench_rows(found))
+
+
+main = Bench(
+    "flats",
+    "Wheel flats",
+    __doc__ or "",
+    _parts,
+    {"wheelsets": (320, "windows of wheelsets"), "first-seed": (200, "seeds go up from here")},
+).run

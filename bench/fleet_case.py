@@ -8,10 +8,11 @@ do not depend on it.
 
 from __future__ import annotations
 
+import argparse
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -21,8 +22,9 @@ import numpy as np
 
 from api.comparison.study import TrueWheelset, read_truth
 from api.comparison.trial import ESTIMATION, deploy, opened, receive, record, run_jobs
+from bench.report import share_of
 from bench.scores import Compared, compared, compared_at
-from bench.study import Case
+from bench.study import Case, Key, in_processes
 from estimation.accuracy.fleet_accuracy import curve_origin
 from estimation.filters import high_pass, local_cubic_kernel
 from estimation.motion.window_motion import deconvolved
@@ -48,10 +50,8 @@ class AlignmentScore:
 
     band: float  # 3-60 m of wavelength
     filtered: float  # as published, against the truth behind the same filter
-    signal: float  # SD of the true alignment in the band
     published: int  # places
     covered: int  # of these, by the 95 % interval
-    known: float  # share of the section
     gauge: float = 0.0  # of an estimated gauge deviation
     gauge_published: int = 0  # places
     gauge_covered: int = 0
@@ -81,10 +81,8 @@ def alignment_score(scenario: Scenario, found: TrackAlignment) -> AlignmentScore
     return AlignmentScore(
         band=float((in_band(whole, step) - true_band)[inner & known].std()),
         filtered=float(error.std()),
-        signal=float(true_band[inner].std()),
         published=int(inner.sum()),
         covered=int(inside.sum()),
-        known=float(np.isfinite(found.alignment).mean()),
         **_gauge_score(true_track, found, place, inner),
     )
 
@@ -147,11 +145,11 @@ COVERAGE = (0.92, 0.98)
 SECONDS_PER_HOUR = 3600.0
 
 
-def scored(scenario: Scenario, keep: Path | None) -> dict[str, Any]:
-    """Return the score of a scenario in a folder of its own; recordings stay in ``keep`` where it is given."""
+def scored(scenario: Scenario, cache: Path | None = None) -> dict[str, Any]:
+    """Return the score of a scenario in a folder of its own; recordings stay in ``cache`` where it is given."""
     with tempfile.TemporaryDirectory(prefix="treadwatch-bench-") as name:
         folder = Path(name)
-        return score(scenario, keep or folder / "recordings", folder / "data")
+        return score(scenario, cache or folder / "recordings", folder / "data")
 
 
 def score(scenario: Scenario, cache: Path, folder: Path) -> dict[str, Any]:
@@ -302,6 +300,11 @@ class Conicities:
         return f"{np.median(self.errors):.4f} / {self.p95:.4f}" if self.errors else "none"
 
     @property
+    def cover(self) -> str:
+        """Share of the intervals that cover in words."""
+        return share_of(self.covered, self.published)
+
+    @property
     def width(self) -> str:
         """Median half width in words."""
         return f"{np.median(self.widths):.3f}" if self.widths else ""
@@ -322,6 +325,19 @@ def summary_line(case: Case) -> str:
     line += f"{', '.join(codes) or 'no reason'}, {case['survey'] or 'no survey'}, "
     cost = sum(case["cpu_s"]) / case["wheelset_hours"]
     return f"{line}{cost:.1f} s/h, {case['seconds']:.0f} s {case['reason'][:60]}"
+
+
+def fleet_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a study of fleets."""
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+
+
+def cases_of(
+    work: Callable[..., Case], options: argparse.Namespace, done: Collection[Key], rows: Sequence[str]
+) -> Iterator[Case | None]:
+    """Yield what ``work`` returns for each row and seed that is not done."""
+    tasks = [(row, seed) for seed in options.seeds for row in rows if (row, seed) not in done]
+    yield from in_processes(work, tasks, options.workers)
 
 
 def by_row(cases: Sequence[Case], rows: Sequence[str] | Mapping[str, Any]) -> dict[str, list[Case]]:

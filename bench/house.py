@@ -6,10 +6,6 @@ product lines, modules; bench lines
     Of the Python files of the four packages; of ``bench``.
 loose modules
     Files directly in ``estimation/`` but ``__init__.py``.
-import cycles
-    Of every package, the groups of its children that import each other in a circle, at any depth.
-arrows against the layers
-    Direct imports from a lower layer to a higher one, by the layers contracts of ``pyproject.toml``.
 long functions, complex functions
     Functions of the four packages of more than 50 lines without their docstring; functions anywhere in the repository
     of cyclomatic complexity over 10 by ruff, suppressed or not. Migrations are history and not counted.
@@ -25,7 +21,7 @@ files entered by one frame
     command line, settings, transactions, records of job runs, logs, HTTP without content). Two rows: to the geometry,
     the answer that the frame's own data end in, and to trend and alerts besides.
 SQL statements
-    Of each job, in one run of all over six windows of two wheelsets on a new database (``bench/job_statements.py``).
+    Of each job, in one run of all over six windows of two wheelsets on a new database.
 start
     CPU seconds (user and system) of the command line, median of five.
 loose words
@@ -43,28 +39,30 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import tomllib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import grimp
-import numpy as np
 from rich.console import Console
 from rich.table import Table
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
-from bench.digests import command, environment_of, simulate
+from api.comparison.trial import deploy, receive, record
+from api.factory import open_store
+from api.pipeline import job_context
+from bench.digests import SCENARIOS, command, environment_of, simulate
 from bench.loose_constants import loose_constants
+from bench.measuring import Stages
+from estimation.values.runs import JobTrigger
+from ingest.simulator.scenario_file import load_scenario
 
 PACKAGES = ("api", "fleet_db", "ingest", "estimation")
 SCREEN = 50
 COMPLEXITY = 10
 LONG_FILE = 400
 STARTS = 5
+LEASE_S = 60.0
 CORE_JOBS = ("refresh_alignment", "estimate_windows", "refresh_geometry", "refresh_trends", "evaluate_alerts")
 ALIGNMENT_JOB = "refresh_alignment"
 API_START = "start of the REST API"
@@ -117,7 +115,7 @@ def main(arguments: Sequence[str]) -> int:
     root = given.root.resolve()
     counts = [*static_counts(root)]
     if not given.static:
-        counts += [*frame_counts(root), *statement_counts(root), *start_counts(root)]
+        counts += [*frame_counts(root), *statement_counts(), *start_counts(root)]
     table = Table("what", "before", "now", "reach", title="treadwatch house", title_justify="left")
     for count in counts:
         table.add_row(count.what, count.before, count.now, count.reach)
@@ -147,9 +145,6 @@ def static_counts(root: Path) -> Iterator[Count]:
     yield Count("bench lines", "18079", str(lines), "<= 12000")
     loose = tuple(sorted(path.name for path in (root / "estimation").glob("*.py") if path.name != "__init__.py"))
     yield Count("modules loose at the top of estimation/", "33", str(len(loose)), "<= 6", loose)
-    cycles, arrows = import_faults(root)
-    yield Count("import cycles", "2", str(len(cycles)), "0", cycles)
-    yield Count("arrows against the layers", "3", str(len(arrows)), "0", arrows)
     long = tuple(long_functions(root))
     yield Count(f"functions over {SCREEN} lines", "0", str(len(long)), "0", long)
     hard = tuple(complex_functions(root))
@@ -174,64 +169,6 @@ def _sources(root: Path, folders: Iterable[str] = PACKAGES) -> Iterator[tuple[st
             if MIGRATIONS in path.parts:
                 continue
             yield path.relative_to(root).as_posix(), path.read_text(encoding="utf-8")
-
-
-def import_faults(root: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the cycles among the children of every package, and the imports against the layers, at run time."""
-    sys.path.insert(0, str(root))
-    try:
-        graph = grimp.build_graph(*PACKAGES, cache_dir=None, exclude_type_checking_imports=True)
-    finally:
-        sys.path.remove(str(root))
-    imports = [
-        (name, other) for name in sorted(graph.modules) for other in graph.find_modules_directly_imported_by(name)
-    ]
-    cycles = []
-    for package in sorted({"", *(module.rpartition(".")[0] for module in graph.modules)}):
-        cycles += [f"{package or '(packages)'}: {', '.join(group)}" for group in _circles(package, imports)]
-    return tuple(cycles), tuple(_upward(root, imports))
-
-
-def _child(module: str, package: str) -> str | None:
-    """Return the name of the package's child that holds a module; None outside the package and for itself."""
-    if not package:
-        return module.partition(".")[0]
-    inside = module.removeprefix(f"{package}.")
-    return None if inside == module else inside.partition(".")[0]
-
-
-def _circles(package: str, imports: Iterable[tuple[str, str]]) -> Iterator[list[str]]:
-    arrows = {(_child(module, package), _child(other, package)) for module, other in imports}
-    arrows = {(child, other) for child, other in arrows if child and other and child != other}
-    names = sorted({name for arrow in arrows for name in arrow if name})
-    if not names:
-        return
-    index = {name: i for i, name in enumerate(names)}
-    rows, columns = zip(*([index[str(name)] for name in arrow] for arrow in sorted(arrows, key=str)), strict=True)
-    matrix = csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(names), len(names)))
-    _, group = connected_components(matrix, directed=True, connection="strong")
-    for number in np.flatnonzero(np.bincount(group) > 1):
-        yield [name for name, its_group in zip(names, group, strict=True) if its_group == number]
-
-
-def _upward(root: Path, imports: Iterable[tuple[str, str]]) -> Iterator[str]:
-    contracts = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
-        "contracts"
-    ]
-    pairs = list(imports)
-    for contract in contracts:
-        if contract["type"] != "layers":
-            continue
-        for container in contract.get("containers", [""]):
-            level = {
-                name.strip(" ()"): depth
-                for depth, layer in enumerate(contract["layers"])
-                for name in re.split("[|:]", layer)
-            }
-            for module, other in pairs:
-                below, above = level.get(_child(module, container) or ""), level.get(_child(other, container) or "")
-                if below is not None and above is not None and below > above:
-                    yield f"{module} -> {other}"
 
 
 def _functions(text: str) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
@@ -298,40 +235,25 @@ def frame_counts(root: Path) -> Iterator[Count]:
         yield Count(f"files entered by one frame, from log to {name}", before, str(len(files)), reach, places)
 
 
-def statement_counts(root: Path) -> Iterator[Count]:
+def statement_counts() -> Iterator[Count]:
     """Yield the SQL statements from alignment to alerts, and of each job."""
-    executed = job_statements(root)
+    executed = job_statements()
     places = tuple(f"{job}: {count}" for job, count in executed.items())
     core = sum(executed[job] for job in CORE_JOBS)
     yield Count("SQL statements from alignment to alerts, 6 windows of 2 wheelsets", "890", str(core), "<= 200", places)
     yield Count("SQL statements of any job, the same windows", "370", str(max(executed.values())), "<= 150", places)
 
 
-def job_statements(root: Path) -> dict[str, int]:
+def job_statements() -> Mapping[str, int]:
     """Return how many SQL statements each job executes over six windows of two wheelsets."""
     with tempfile.TemporaryDirectory(prefix="treadwatch-house-") as name:
-        folder = Path(name)
-        environment = environment_of(folder) | {"PYTHONPATH": str(root), "TREADWATCH_WINDOW_LENGTH_S": "120"}
-        simulated = simulate("frame", folder, environment)
-        command(["db", "upgrade"], folder, environment)
-        recordings = map(str, sorted(simulated.glob("*/*.blf")))
-        command(["ingest", "--registry", str(simulated / "registry.json"), *recordings], folder, environment)
-        return _script("job_statements.py", folder, environment)
-
-
-def _script(name: str, folder: Path, environment: dict[str, str], *arguments: str) -> Any:  # noqa: ANN401 - JSON
-    """Return what a script beside this file prints as JSON."""
-    done = subprocess.run(  # noqa: S603 - our own script
-        [sys.executable, "-P", str(Path(__file__).with_name(name)), *arguments],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        raise RuntimeError(done.stderr)
-    return json.loads(done.stdout)
+        scenario, folder = load_scenario(str(SCENARIOS / "frame.toml")), Path(name)
+        settings = deploy(scenario, folder).model_copy(update={"window_length_s": 120.0})
+        receive(record(scenario, folder / "recordings", workers=1), settings)
+        stages = Stages()
+        with closing(open_store(settings)) as store, store.owned(JobTrigger.CLI, "house", LEASE_S) as storage:
+            stages.run_jobs(job_context(settings, storage))
+        return stages.statements
 
 
 def trace(root: Path) -> dict[str, dict[str, list[str]]]:
@@ -344,7 +266,12 @@ def trace(root: Path) -> dict[str, dict[str, list[str]]]:
         command(["db", "upgrade"], folder, environment)
         command(["ingest", "--registry", str(simulated / "registry.json"), *map(str, earlier)], folder, environment)
         command(["estimate"], folder, environment)
-        return _script("frame_trace.py", folder, environment, "T-A2", str(last))
+        script = [sys.executable, "-P", str(Path(__file__).with_name("frame_trace.py")), "T-A2", str(last)]
+        done = subprocess.run(script, cwd=folder, env=environment, capture_output=True, text=True, check=False)  # noqa: S603 - our own script
+    if done.returncode:
+        raise RuntimeError(done.stderr)
+    found: dict[str, dict[str, list[str]]] = json.loads(done.stdout)
+    return found
 
 
 def entered_files(traced: dict[str, dict[str, list[str]]]) -> dict[str, str]:

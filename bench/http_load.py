@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
@@ -39,72 +39,6 @@ class Answers:
         return self.bytes_ / len(self.latencies_ms) / 1000.0
 
 
-@dataclass
-class _Round:
-    """What all clients of a round share."""
-
-    requests: Sequence[bytes]
-    done: asyncio.Future[None]
-    sent: int = 0
-    answers: Answers = field(default_factory=Answers)
-
-    def next_request(self) -> bytes | None:
-        if self.sent == len(self.requests):
-            return None
-        self.sent += 1
-        return self.requests[self.sent - 1]
-
-    def note(self, latency_s: float, status: int, size: int) -> None:
-        self.answers.latencies_ms.append(1000.0 * latency_s)
-        self.answers.statuses[status] += 1
-        self.answers.bytes_ += size
-        if len(self.answers.latencies_ms) == len(self.requests) and not self.done.done():
-            self.done.set_result(None)
-
-
-class _Client(asyncio.Protocol):
-    """One connection; its server must send Content-Length."""
-
-    def __init__(self) -> None:
-        self.shared: _Round | None = None
-        self.buffer = bytearray()
-        self.expected = -1
-        self.status = 0
-        self.began = 0.0
-        self.transport: asyncio.Transport | None = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self.transport = transport  # type: ignore[assignment] # a stream transport
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        if self.shared is not None and not self.shared.done.done():
-            self.shared.done.set_exception(exc or ConnectionError("the server closed a connection"))
-
-    def data_received(self, data: bytes) -> None:
-        self.buffer += data
-        if self.expected < 0:
-            end = self.buffer.find(HEAD_END)
-            if end < 0:
-                return
-            head = bytes(self.buffer[:end]).lower()
-            self.status = int(head[9:12])
-            length = head.partition(b"content-length:")[2].split(b"\r\n", 1)[0]
-            self.expected = end + len(HEAD_END) + int(length or b"0")
-        if len(self.buffer) >= self.expected and self.shared is not None:
-            size = self.expected
-            self.buffer.clear()
-            self.expected = -1
-            self.shared.note(time.perf_counter() - self.began, self.status, size)
-            self.ask(self.shared)
-
-    def ask(self, shared: _Round) -> None:
-        self.shared = shared
-        request = shared.next_request()
-        if request is not None and self.transport is not None:
-            self.began = time.perf_counter()
-            self.transport.write(request)
-
-
 def request(method: str, path: str, header: str, content: bytes = b"") -> bytes:
     """Return a request with one more line of header."""
     length = f"Content-Length: {len(content)}\r\nContent-Type: application/octet-stream\r\n" if content else ""
@@ -117,20 +51,32 @@ def ask(url: str, wanted: Mapping[str, Iterable[bytes]], clients: int) -> dict[s
     All are asked over the same connections, so that they share how these fell to the worker processes: a worker that
     got 30 of 50 answers each half as often again, whatever it is asked for.
     """
-    return asyncio.run(_ask_all(url, {name: list(requests) for name, requests in wanted.items()}, clients))
+    return asyncio.run(_ask_all(url, wanted, clients))
 
 
-async def _ask_all(url: str, wanted: Mapping[str, Sequence[bytes]], clients: int) -> dict[str, Answers]:
-    address, loop, found = urlsplit(url), asyncio.get_running_loop(), {}
-    opened = [await loop.create_connection(_Client, address.hostname, address.port) for _ in range(clients)]
+async def _ask_all(url: str, wanted: Mapping[str, Iterable[bytes]], clients: int) -> dict[str, Answers]:
+    address, found = urlsplit(url), {name: Answers() for name in wanted}
+    opened = [await asyncio.open_connection(address.hostname, address.port, limit=1 << 20) for _ in range(clients)]
     for name, requests in wanted.items():
-        shared = _Round(requests, loop.create_future())
+        answers, left = found[name], iter(requests)
         began, cpu = time.perf_counter(), time.process_time()
-        for _, client in opened:
-            client.ask(shared)
-        await shared.done
-        shared.answers.took_s, shared.answers.cpu_s = time.perf_counter() - began, time.process_time() - cpu
-        found[name] = shared.answers
-    for transport, _ in opened:
-        transport.abort()
+        await asyncio.gather(*(_client(*connection, left, answers) for connection in opened))
+        answers.took_s, answers.cpu_s = time.perf_counter() - began, time.process_time() - cpu
+    for _, writer in opened:
+        writer.transport.abort()
     return found
+
+
+async def _client(
+    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, left: Iterator[bytes], answers: Answers
+) -> None:
+    """Ask what is left, one request after the other; the server must send Content-Length."""
+    for content in left:
+        began = time.perf_counter()
+        writer.write(content)
+        head = (await reader.readuntil(HEAD_END)).lower()
+        length = int(head.partition(b"content-length:")[2].split(b"\r\n", 1)[0] or b"0")
+        await reader.readexactly(length)
+        answers.latencies_ms.append(1000.0 * (time.perf_counter() - began))
+        answers.statuses[int(head[9:12])] += 1
+        answers.bytes_ += len(head) + length

@@ -1,9 +1,8 @@
 """Alerts at the conicity limit: ``python -m bench limits [--shapes N] [--wheelsets N] [--seeds 31-34] ...``.
 
 Worn wheelsets of shapes that the extrapolation does not hold run over irregular track; those that cover 1.5 to 2.25 mm
-live for some intervals and are judged by the real trend and the real rules. Beside them the rule before, in the same
-run: the smooth trend at 3 mm alone. All wheelsets of a seed run on tracks of one shape, and those of one curve are
-raised, or not, together: several seeds decide.
+live for some intervals and are judged by the real trend and the real rules. All wheelsets of a seed run on tracks of
+one shape, and those of one curve are raised, or not, together: several seeds decide.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.made_values import made_geometry
-from bench.report import BenchRow, RowBench, say
+from bench.report import BenchRow, row_bench, say
 from bench.study import seeds_of
 from bench.worn_family import AMPLITUDES, CLASSES, DISPLACEMENT, amplitude_reached, curve_of
 from estimation.alerts.rule_book import RuleBook, findings
@@ -25,14 +24,10 @@ from estimation.alerts.rules.conicity_limit import ConicityLimitRule, MeasureRul
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.contact.conicity import equivalent_conicity
 from estimation.jobs.refresh_trends import trend_of
-from estimation.trend.extrapolation import conicity_points
-from estimation.trend.now import probability_above
 from estimation.trend.trend import TrendParameters
-from estimation.trend.wear_curve import fit_wear_curve
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import (
     GeometryRecord,
-    IntervalConicities,
     WheelsetGeometry,
     interval_conicities,
 )
@@ -51,7 +46,6 @@ NEAR = 0.5e-3  # m, within which errors are alike
 INTERVAL_KM, INTERVAL_NS = 1000.0, 10**15
 FROM_NS = 1_700_000_000_000_000_000
 NOT_COVERED = Estimate.unknown(Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "not covered"))
-FORMER_LEAST, FORMER_STD = 2e-3, 0.1  # of the rule before: the fitted trend at 3 mm from 2 mm on, where it is sharp
 BINS = 2
 
 
@@ -83,7 +77,6 @@ class Judged:
     worn: Worn
     over: bool  # `conicity_limit`
     measure: bool
-    former: bool  # by the rule before
 
 
 def limit_at(speed: float) -> float:
@@ -110,24 +103,7 @@ def judged(worn: Worn) -> Judged:
     )
     book = RuleBook(rules=(ConicityLimitRule(), MeasureRule()))
     stands = {one.kind: bool(one.stands) for one in findings(facts, book, records[-1].to_ns)}
-    return Judged(worn, stands[ConicityLimitRule.kind], stands[MeasureRule.kind], _former_rule(conicities, worn))
-
-
-def _former_rule(records: Sequence[IntervalConicities], worn: Worn) -> bool:
-    """Return whether the smooth curve at 3 mm alone is over the limit in any of the last three intervals."""
-    chosen = conicity_points(records)
-    if chosen.not_comparable is not None or worn.covered < FORMER_LEAST - 1e-9:
-        return False
-    x, value, std = (np.array([getattr(p, name) for p in chosen.points]) for name in ("mileage_km", "value", "std"))
-    rule = ConicityLimitRule()
-    for end in range(len(x) - LAST + 1, len(x) + 1):
-        if end < 2:
-            continue
-        level = fit_wear_curve(x[:end], value[:end], std[:end]).shifted(chosen.spread).level_now().estimate(end)
-        over = probability_above(level, limit_at(worn.speed)) or 0.0
-        if (level.std or 0.0) <= FORMER_STD and over >= rule.raise_probability:
-            return True
-    return False
+    return Judged(worn, stands[ConicityLimitRule.kind], stands[MeasureRule.kind])
 
 
 def _records(worn: Worn) -> list[GeometryRecord]:
@@ -218,7 +194,7 @@ def rows(found: Sequence[Judged]) -> Iterator[BenchRow]:
     raised, over = _share(beyond, lambda one: one.over or one.measure), _share(beyond, lambda one: one.over)
     yield BenchRow(
         f"beyond the limit by {MARGIN:g} or more at 3 mm, 1.75 or 2 mm covered, {_size(beyond)}: raised",
-        f"{raised:.1%} (`conicity_limit` {over:.1%}); {_former(beyond)}",
+        f"{raised:.1%} (`conicity_limit` {over:.1%})",
         "98 % or more",
         raised >= 0.98,
     )
@@ -230,7 +206,7 @@ def rows(found: Sequence[Judged]) -> Iterator[BenchRow]:
         false = _share(group, lambda one: one.over)
         yield BenchRow(
             f"below the limit by {MARGIN:g} or more {name}, {_size(group)}: `conicity_limit`",
-            f"{false:.2%}; {_former(group)}",
+            f"{false:.2%}",
             "1 % or less",
             false <= 0.01,
         )
@@ -258,7 +234,7 @@ def _for_information(found: Sequence[Judged]) -> Iterator[BenchRow]:
 def _counted(name: str, group: Sequence[Judged]) -> Iterator[BenchRow]:
     if group:
         text = f"`conicity_limit` {_share(group, lambda one: one.over):.1%}, `measure`"
-        text += f" {_share(group, lambda one: one.measure and not one.over):.1%}; {_former(group)}"
+        text += f" {_share(group, lambda one: one.measure and not one.over):.1%}"
         yield BenchRow(f"{name}, {len(group)} wheelsets", text, "for information", True)  # noqa: FBT003 - nothing to be reached
 
 
@@ -267,18 +243,14 @@ def _size(group: Sequence[Judged]) -> str:
     return f"{len(group)} wheelsets of {len({one.worn.conicity.tobytes() for one in group})} shapes"
 
 
-def _former(group: Sequence[Judged]) -> str:
-    return f"rule before {_share(group, lambda one: one.former):.1%}"
-
-
 def _share(group: Sequence[Judged], holds: Callable[[Judged], bool]) -> float:
     return float(np.mean([holds(one) for one in group])) if group else 0.0
 
 
-main = RowBench(
+main = row_bench(
     "limits",
     "Alerts at the conicity limit",
-    __doc__ or "",
+    __doc__,
     _measured,
     {
         "shapes": (300, "drawn of each class"),

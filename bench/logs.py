@@ -7,7 +7,7 @@ do: they decode nothing.
 
 from __future__ import annotations
 
-import tempfile
+import argparse
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -20,7 +20,7 @@ import can
 import cantools
 import numpy as np
 
-from bench.report import BenchRow, RowBench
+from bench.report import BenchRow, row_bench
 from estimation.errors import TreadwatchError
 from estimation.values.windows import ACCELERATIONS
 from ingest.catalogue import ACCELERATION, SYNC, default_catalogue, sync_counter
@@ -40,16 +40,14 @@ NODES, START_NS = 8, 1_750_000_000_000_000_000
 REACH_BLF, REACH_BLF_FRAMES, REACH_TEXT, REACH_MF4 = 15.0, 5e6, 5.0, 1.0
 
 
-def rows() -> Iterator[BenchRow]:
+def rows(_options: argparse.Namespace, folder: Path) -> Iterator[BenchRow]:
     """Yield, by format, how many times faster than the rival, and frames per second."""
     batch = bus_frames(FRAMES)
     part = take(batch, slice(0, FRAMES // SHARE))
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        yield _blf(folder, batch, part)
-        for suffix in TEXT:
-            yield _text(folder, batch, part, suffix)
-        yield from _mf4(folder, batch)
+    yield _blf(folder, batch, part)
+    for suffix in TEXT:
+        yield _text(folder, batch, part, suffix)
+    yield from _mf4(folder, batch)
 
 
 def _blf(folder: Path, batch: FrameBatch, part: FrameBatch) -> BenchRow:
@@ -193,4 +191,4 @@ def bus_frames(count: int) -> FrameBatch:
     return take(sort_by_time(concatenate(batches)), slice(0, count))
 
 
-main = RowBench("logs", "Log files to decoded arrays", __doc__ or "", lambda _options, _folder: rows()).run
+main = row_bench("logs", "Log files to decoded arrays", __doc__, rows).run

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import closing
@@ -19,7 +19,7 @@ from api.factory import open_store
 from api.pipeline import job_context
 from api.settings import Settings
 from bench.counting import asked, run
-from bench.report import BenchRow, RowBench
+from bench.report import BenchRow, row_bench
 from bench.standing_clock import StandingClock
 from bench.wheelset_year import SERIAL, Original, WheelsetYear
 from estimation.jobs.catalogue import job_named
@@ -37,15 +37,14 @@ MB_OF_KIB, LEASE_S = 1024.0, 60.0
 START = table_of(WindowRow).c.start_ns
 
 
-def rows() -> Iterator[BenchRow]:
+def rows(_options: argparse.Namespace, folder: Path) -> Iterator[BenchRow]:
     """Yield CPU time, statements and peak memory of the jobs that follow a new window."""
     from bench.wheelset_recording import recorded_year  # noqa: PLC0415 - not in the process that is measured: it has no simulator
 
-    with tempfile.TemporaryDirectory() as folder:
-        with recorded_year(Path(folder)) as year:
-            year.put(1, DAYS)
-        command = [sys.executable, "-m", "bench.new_window", folder]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603 - this program
+    with recorded_year(folder) as year:
+        year.put(1, DAYS)
+        command = [sys.executable, "-m", "bench.new_window", str(year.storage.data_dir)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603 - this program
     found = json.loads(done.stdout)
     yield BenchRow("intervals of the wheelset", str(found["intervals"]), "", met=True)
     for name in JOBS:
@@ -102,7 +101,7 @@ def _original(storage: SqlStorage, start_ns: int) -> Original:
         return Original(unit.windows.load(SERIAL, record.start_ns), table, version)
 
 
-main = RowBench("new_window", "One new window after a year", __doc__ or "", lambda _options, _folder: rows()).run
+main = row_bench("new_window", "One new window after a year", __doc__, rows).run
 
 
 if __name__ == "__main__":

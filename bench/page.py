@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import argparse
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 from playwright.sync_api import Browser, CDPSession, Page, sync_playwright
 
-from bench.api import filled_database, served
 from bench.large_fleet import FleetSize
-from bench.report import BenchRow, ended, options_of, printed, row_table
+from bench.report import Bench, BenchRow, Part, printed, row_table
+from bench.served import filled_database, served
 from tests.page.chromium import chromium
 
 CONTENT_S, SENT_KB, FRAME_MS = 1.0, 500.0, 50.0
@@ -115,23 +117,13 @@ def _frames(page: Page) -> list[float]:
     return [float(one) for one in page.evaluate("window.seen.frames")]
 
 
-OPTIONS = {
-    "vehicles": (1000, "of 4 wheelsets each"),
-    "days": (30, "of daily geometry, which the overview does not read"),
-    "loads": (9, "cold loads"),
-}
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Fill a database, visit, print and write the page; return 1 where a figure falls short."""
-    options = options_of("page", __doc__ or "", OPTIONS, arguments)
+def _parts(options: argparse.Namespace, _folder: Path) -> Iterator[Part]:
     size = FleetSize(vehicles=options.vehicles, days=options.days)
     with filled_database("sqlite", size) as (folder, _, key), served(folder, None) as url, _browser() as browser:
         token = key.removeprefix("Authorization: Bearer ")
         rows = printed(_measured(browser, f"{url}/#key={token}", size.wheelsets, options.loads))
-    words = f"{size.vehicles} vehicles, {size.wheelsets} wheelsets; SQLite, 2 workers, Chromium on the same machine."
-    command = "make bench-page" if options.write_docs else None
-    return ended([words, row_table(rows)], "page", "The page with a large fleet", command)
+    yield f"{size.vehicles} vehicles, {size.wheelsets} wheelsets; SQLite, 2 workers, Chromium on the same machine."
+    yield row_table(rows)
 
 
 @contextmanager
@@ -179,3 +171,16 @@ def _smooth(what: str, frames_ms: Sequence[float]) -> BenchRow:
         f"at most {100.0 * SHARE_OF_LONG:g} % longer",
         len(long) <= max(1, SHARE_OF_LONG * len(frames_ms)),
     )
+
+
+main = Bench(
+    "page",
+    "The page with a large fleet",
+    __doc__ or "",
+    _parts,
+    {
+        "vehicles": (1000, "of 4 wheelsets each"),
+        "days": (30, "of daily geometry, which the overview does not read"),
+        "loads": (9, "cold loads"),
+    },
+).run

@@ -1,21 +1,12 @@
-"""What recordings cost until alerts: ``python -m bench pipeline``, ``fleet_sizes`` or ``section_runs``.
+"""What recordings cost until alerts: ``python -m bench pipeline``.
 
 Processor time of this process and of those that it starts is counted stage by stage, after a first journey has been
 received and compiled everything. ``BEGIN`` is no statement.
 
-``pipeline``: chunks of a fleet on a section that nobody has surveyed, whose alignment is estimated from the same
+Chunks of a fleet are received on a section that nobody has surveyed, whose alignment is estimated from the same
 recordings, and on one that is on file. On the latter bin tables need the stages ``BIN_TABLES`` alone, and are compared
 with what one would make of python-can, cantools, scipy, padasip and the ORM. That rival is given less to do: no
 positions, no refusals, no checks. It is timed on a share of the same frames.
-
-``fleet_sizes``: each vehicle of four wheelsets sends one recording of a journey on one surveyed section. The vehicles
-are copies of one, on file and in their recordings under names of their own. The exponent is the slope of the logarithm
-of the cost against that of the number of wheelsets: at 1 a wheelset costs the same in any fleet.
-
-``section_runs``: nobody has surveyed the section. After each journey all jobs run, as on the schedule of a deployment
-whose vehicles come one after the other, and once more when none comes any more. Counted are the estimations of each
-window over its life, and the processor time of a window from the first runs to the last; the exponent is that of all
-time so far against all windows so far.
 """
 
 from __future__ import annotations
@@ -24,7 +15,7 @@ import argparse
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from importlib.resources import files
@@ -42,22 +33,12 @@ from scipy.signal import butter, sosfiltfilt
 from sqlalchemy import create_engine
 from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 
-from api.comparison.trial import Recorded, opened, receive
+from api.comparison.trial import opened, receive
 from api.terminal.processes import executor_of
 from bench.counting import run_all
-from bench.measuring import INGEST, Stages, every, exponent, resident_of, tree
-from bench.report import BenchRow, RowBench, say
-from bench.small_fleets import (
-    FOUR_AXLES,
-    Workload,
-    cars,
-    code_of,
-    copies,
-    deployed,
-    put_copies_into,
-    small_fleet,
-    workload,
-)
+from bench.measuring import INGEST, Stages, every, resident_of, tree
+from bench.report import BenchRow, row_bench
+from bench.small_fleets import Workload, workload
 from fleet_db.storage import SqlStorage
 from ingest.frames import take
 from ingest.logs import read_log, write_blf
@@ -126,14 +107,9 @@ def _bins(node: int, signals: _Floats) -> list[_BinRow]:
 
 CORES, AXLES = 2, 4
 REACH_FRAMES, REACH_RATIO, REACH_HOUR_S, REACH_GIB, REACH_SHARE = 1e6, 20.0, 1.5, 4.0, 0.95
-REACH_ESTIMATIONS, REACH_EXPONENT = 1.3, 1.05
 GIB = 2**30
 BIN_TABLES = (INGEST, "estimate_windows")
 """Stages from a chunk to its bin tables where the track is on file."""
-
-QUIET_S = 600.0  # interval of the job of the alignment
-FIRST_RUNS = 5  # left out of the exponent: they compile, and there is no alignment yet
-FEWEST_RUNS = FIRST_RUNS + 2
 
 
 def _pipeline(options: argparse.Namespace, folder: Path) -> Iterator[BenchRow]:
@@ -226,110 +202,14 @@ def _beside_workers_s(load: Workload, folder: Path) -> float:
             return time.process_time() - begin_s
 
 
-def _fleet_sizes(options: argparse.Namespace, folder: Path) -> Iterator[BenchRow]:
-    load, sizes = workload(folder / "load", 1, options.minutes), sorted(options.vehicles)
-    found = []
-    for vehicles in sizes:
-        found.append(_of_fleet(folder / str(vehicles), load, vehicles))
-        of_fleet = found[-1]
-        shown = f"{1e3 * of_fleet.whole_s / of_fleet.windows:.1f} CPU ms a window of a minute: " + ", ".join(
-            f"{name} {1e3 * spent / of_fleet.windows:.1f}" for name, spent in of_fleet.cpu_s.items()
-        )
-        yield BenchRow(f"{AXLES * vehicles:,} wheelsets, {of_fleet.windows:,} windows", shown, "", met=True)
-    for name in found[0].cpu_s:
-        power = exponent(sizes, [one.cpu_s[name] for one in found])
-        yield BenchRow(f"exponent of {name}", f"{power:.3f}", "", met=True)
-    whole = exponent(sizes, [one.whole_s for one in found])
-    what = f"exponent of all of it, {AXLES * sizes[0]} to {AXLES * sizes[-1]:,} wheelsets"
-    yield BenchRow(what, f"{whole:.3f}", f"<= {REACH_EXPONENT}", whole <= REACH_EXPONENT)
-
-
-def _of_fleet(folder: Path, load: Workload, vehicles: int) -> Stages:
-    """Return what the recordings of so many vehicles took until alerts, with everything compiled before."""
-    folder.mkdir()
-    settings, stages = load.copy(folder / "deployed"), Stages()
-    model, path = load.recordings[-1]
-    put_copies_into(settings, model, [code_of(number) for number in range(vehicles)])
-    recorded = Recorded(copies(folder / "recordings", path.read_bytes(), vehicles), load.received.data_dir)
-    with opened(settings) as (storage, context):
-        run_all(context)
-        stages.measure(storage, context, settings, recorded)
-    return stages
-
-
-def _section_runs(options: argparse.Namespace, folder: Path) -> Iterator[BenchRow]:
-    if options.vehicles * options.campaigns < FEWEST_RUNS:
-        raise SystemExit(f"{FEWEST_RUNS} journeys of all vehicles or more are needed for an exponent")
-    found = []
-    for stages in _runs(options, folder):
-        found.append(stages)
-        say(f"run {len(found)}: {stages.windows} windows, {stages.estimated} estimated, {stages.whole_s:.1f} CPU s")
-    windows = sum(stages.windows for stages in found)
-    each = sum(stages.estimated for stages in found) / windows
-    what = f"{options.vehicles * AXLES} wheelsets, {len(found)} runs, {windows} windows"
-    reach = f"<= {REACH_ESTIMATIONS}"
-    yield BenchRow(f"{what}: estimations a window", f"{each:.2f}", reach, each <= REACH_ESTIMATIONS)
-    for name in [*found[0].cpu_s, "all of it"]:
-        yield _growth(what, name, found)
-
-
-def _runs(options: argparse.Namespace, folder: Path) -> Iterator[Stages]:
-    """Yield what each journey costs when all jobs follow it."""
-    campaigns, minutes = options.campaigns, options.minutes
-    fleet = small_fleet(folder, "K", cars(options.vehicles), FOUR_AXLES, minutes, campaigns=campaigns, surveyed=False)
-    load = deployed(folder, fleet)
-    for recording in load.recordings:
-        stages = Stages()
-        with opened(load.received) as (storage, plain):
-            context = replace(plain, quiet_s=QUIET_S)
-            stages.measure(storage, context, load.received, Recorded((recording,), load.received.data_dir))
-        if recording is load.recordings[-1]:
-            with opened(load.received) as (_, plain):
-                stages.run_jobs(replace(plain, quiet_s=0.0))
-        yield stages
-
-
-def _growth(what: str, name: str, found: Sequence[Stages]) -> BenchRow:
-    """Return the cost of a window, ms, in the first and second half of the runs, and its growth."""
-    whole = name == "all of it"
-    spent = np.array([stages.whole_s if whole else stages.cpu_s[name] for stages in found])
-    windows = np.array([stages.windows for stages in found])
-    half = len(found) // 2
-    first, second = (1e3 * float(spent[part].sum() / windows[part].sum()) for part in (slice(half), slice(half, None)))
-    power = exponent(np.cumsum(windows)[FIRST_RUNS:].tolist(), np.cumsum(spent)[FIRST_RUNS:].tolist())
-    shown = f"{first:.1f} ms a window in the first half, {second:.1f} in the second, exponent {power:.2f}"
-    reach = f"exponent <= {REACH_EXPONENT}" if whole else ""
-    return BenchRow(f"{what}: {name}", shown, reach, met=not whole or power <= REACH_EXPONENT)
-
-
-BENCHES = (
-    RowBench(
-        "pipeline",
-        "From chunks to alerts",
-        __doc__ or "",
-        _pipeline,
-        {
-            "vehicles": (3, "of four wheelsets"),
-            "minutes": (15.0, "of a journey"),
-            "chunk": ([900.0, 60.0], "length of a chunk, s"),
-        },
-    ),
-    RowBench(
-        "fleet_sizes",
-        "Cost of a wheelset by the size of the fleet",
-        __doc__ or "",
-        _fleet_sizes,
-        {"vehicles": ([10, 100, 1000], "of four wheelsets, by fleet"), "minutes": (3.0, "of a journey")},
-    ),
-    RowBench(
-        "section_runs",
-        "A section over many runs",
-        __doc__ or "",
-        _section_runs,
-        {
-            "vehicles": (10, "of four wheelsets"),
-            "campaigns": (5, "journeys of each vehicle"),
-            "minutes": (5.0, "of a journey"),
-        },
-    ),
-)
+main = row_bench(
+    "pipeline",
+    "From chunks to alerts",
+    __doc__,
+    _pipeline,
+    {
+        "vehicles": (3, "of four wheelsets"),
+        "minutes": (15.0, "of a journey"),
+        "chunk": ([900.0, 60.0], "length of a chunk, s"),
+    },
+).run

@@ -1,4 +1,4 @@
-"""Wheel and rail apart, over several sections: ``python -m bench rails [--seeds 0-19] [--keep FOLDER] ...``.
+"""Wheel and rail apart, over several sections: ``python -m bench rails [--seeds 0-19] ...``.
 
 Every seed is a fleet of 12 wheelsets on four surveyed sections (``rails_sections``): simulated, ingested and estimated
 by the scheduled jobs; in rows ``drawn`` on vehicles and creep that are off from those on file, in rows ``trend`` on
@@ -8,27 +8,25 @@ rails that wear over years.
 from __future__ import annotations
 
 import argparse
-import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bench.rails_case import score, score_trend
 from bench.report import COLUMNS, Part, ResultTable
+from bench.scores import AMPLITUDES
 from bench.study import Case, Key, Study
 from estimation.errors import ScenarioError
 
-AMPLITUDES_MM = (1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 2.75, 3.0)
 KNOWN, THREE, TWO, NONE = "known rails", "three measured wheels", "two measured wheels", "none"
 HOLD = (KNOWN, THREE, TWO)  # the level
 REACH_RAILS, REACH_WHEELS, COVERS = 0.02, 0.01, (0.92, 0.98)
 KINDS = ("exact", "drawn", "trend")
 Results = Mapping[str, Any]
 Error = tuple[float, float, bool]
-"""Error, std, and whether the interval covers."""
+"""Error, half width, and whether the interval covers."""
 Rows = list[tuple[str, ...]]
 
 
@@ -127,7 +125,7 @@ def _removed(results: Results) -> tuple[str, ...]:
 def _by_amplitude(results: Results) -> Rows:
     cases = _held_by(results, KNOWN)
     rows: Rows = []
-    for place, amplitude in enumerate(AMPLITUDES_MM):
+    for place, amplitude in enumerate(1e3 * AMPLITUDES):
         rails = _of_rails(cases, place)
         apart, today = (_of_wheels(cases, which, place) for which in ("apart", "today"))
         rows.append((f"{amplitude:g}", *_figures(rails), *_figures(apart), *_figures(today)))
@@ -211,18 +209,15 @@ def _seeds(results: Results, kind: str) -> str:
 
 
 def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]:
-    with tempfile.TemporaryDirectory(prefix="treadwatch-rails-") as folder:
-        cache = options.keep or Path(folder)
-        for kind, seed in product(options.rows, options.seeds):
-            if (kind, seed) in done:
-                continue
-            case = {"row": kind, "seed": seed, "derailed": False, "scores": []}
-            try:
-                of_trend = kind == "trend"
-                scores = [score_trend(seed, cache)] if of_trend else score(seed, cache, drawn=kind == "drawn")
-                yield case | {"scores": scores}
-            except ScenarioError:  # a wheelset climbs a rail: no railway runs it
-                yield case | {"derailed": True}
+    for kind, seed in product(options.rows, options.seeds):
+        if (kind, seed) in done:
+            continue
+        case = {"row": kind, "seed": seed, "derailed": False, "scores": []}
+        try:
+            scores = [score_trend(seed)] if kind == "trend" else score(seed, drawn=kind == "drawn")
+            yield case | {"scores": scores}
+        except ScenarioError:  # a wheelset climbs a rail: no railway runs it
+            yield case | {"derailed": True}
 
 
 def _results(cases: Sequence[Case]) -> Results:
@@ -239,7 +234,11 @@ main = Study(
     parts=lambda cases: parts(_results(cases)),
     line=lambda case: f"{case['row']} {case['seed']}: {'derailed' if case['derailed'] else 'done'}",
     rows=KINDS,
-    options=lambda parser: parser.add_argument(
-        "--keep", type=Path, help="folder that keeps recordings and deployments"
-    ),
+    published=lambda case: [
+        error
+        for scored in case["scores"]
+        for wheelset in scored.get("wheelsets", ())
+        for error in wheelset["apart"]
+        if error is not None
+    ],
 ).run

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import shutil
 import tempfile
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,18 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from api.comparison.trial import (
-    ESTIMATION,
-    copied,
-    deploy,
-    opened,
-    receive,
-    record,
-    recording_key,
-    register,
-    run_jobs,
-)
+from api.comparison.trial import ESTIMATION, deploy, opened, receive, record, register, run_jobs
 from api.settings import Settings
+from bench.scores import AMPLITUDES, compared_at
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.profiles import wheel_profile
@@ -35,7 +23,6 @@ from estimation.storage import Storage, UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import SECTION_RAILS, WHEELSET_RAILS
 from estimation.values.quantities import Estimate
-from estimation.values.reasons import code_of
 from estimation.values.units import DAY_NS
 from ingest.simulator.axle_motion import rails_of, section_at, truth_of, wear_at, worn_contact
 from ingest.simulator.drawn_fleet import with_seed
@@ -124,7 +111,6 @@ def reference_wheel(scenario: Scenario, amplitude: FloatArray) -> FloatArray:
     return equivalent_conicity(curve.displacement, curve.difference, amplitude)
 
 
-AMPLITUDES = tuple(float(a) for a in np.arange(4, 13) * 0.25e-3)  # m: 1.0 to 3.0 mm, as in the accuracy table
 ANCHORS: Mapping[str, tuple[str, ...]] = {
     "known rails": (KNOWN,),
     "none": (),
@@ -139,12 +125,12 @@ MEASURED: Mapping[int, tuple[str, ...]] = {  # wheelsets whose profiles are on f
 Scored = dict[str, Any]
 
 
-def score(seed: int, cache: Path, *, drawn: bool = False) -> list[Scored]:
+def score(seed: int, *, drawn: bool = False) -> list[Scored]:
     """Return a score for each way to hold the level, as JSON values."""
     sections = sections_of(seed, drawn=drawn)
     found: list[Scored] = []
     with tempfile.TemporaryDirectory(prefix="treadwatch-rails-") as folder:
-        settings = copied(received(sections, cache), Path(folder))
+        settings = received(sections, Path(folder))
         for measured, anchors in MEASURED.items():
             if measured:
                 register(whole_fleet(sections, measured), settings, Path(folder) / f"measured-{measured}")
@@ -155,36 +141,25 @@ def score(seed: int, cache: Path, *, drawn: bool = False) -> list[Scored]:
 
 
 def _scored(seed: int, sections: Sequence[BenchSection], anchor: str, storage: Storage, context: JobContext) -> Scored:
-    began = time.perf_counter()
     begin_ns = sections[0].scenario.sessions.start_ns
     known = frozenset(KnownSection(code, begin_ns) for code in ANCHORS[anchor])
     settings = replace(context.settings, rails=RailsSettings(known))
     run_jobs(replace(context, settings=settings), (refresh_rails.JOB,))
     with storage.read() as unit:
-        scored = _stored(unit, sections)
-    return {"seed": seed, "anchor": anchor} | scored | {"seconds": time.perf_counter() - began}
+        return {"seed": seed, "anchor": anchor} | _stored(unit, sections)
 
 
-def received(sections: Sequence[BenchSection], cache: Path) -> Settings:
-    """Return a deployment in ``cache`` that has received and estimated the runs on all sections, made where missing."""
-    keys = " ".join(recording_key(one.scenario) for one in sections)
-    on_file = " ".join(repr((one.plan.surveyed, one.plan.tonnage)) for one in sections)
-    folder = cache / "deployed" / hashlib.sha256(f"{keys} {on_file}".encode()).hexdigest()[:20]
-    made = folder.with_suffix(".partial")
-    if not folder.exists():
-        shutil.rmtree(made, ignore_errors=True)
-        first = whole_fleet(sections)
-        settings = deploy(first, made)
-        for one in sections[1:]:
-            register(replace(first, section=one.plan, seed=one.scenario.seed), settings, made / one.plan.code)
-        for one in sections:
-            receive(record(one.scenario, cache, workers=1), settings)
-        with opened(settings) as (_, context):
-            run_jobs(context, ESTIMATION)
-        made.rename(folder)
-    return Settings(  # type: ignore[call-arg] # of pydantic-settings
-        data_dir=folder / "data", database_url=None, raw_store=None, _env_file=None
-    )
+def received(sections: Sequence[BenchSection], folder: Path) -> Settings:
+    """Return a new deployment in a folder that has received and estimated the runs on all sections."""
+    first = whole_fleet(sections)
+    settings = deploy(first, folder)
+    for one in sections[1:]:
+        register(replace(first, section=one.plan, seed=one.scenario.seed), settings, folder / one.plan.code)
+    for one in sections:
+        receive(record(one.scenario, folder / "recordings", workers=1), settings)
+    with opened(settings) as (_, context):
+        run_jobs(context, ESTIMATION)
+    return settings
 
 
 def whole_fleet(sections: Sequence[BenchSection], measured: int = 0) -> Scenario:
@@ -196,10 +171,9 @@ def whole_fleet(sections: Sequence[BenchSection], measured: int = 0) -> Scenario
 
 
 def _stored(unit: UnitOfWork, sections: Sequence[BenchSection]) -> Scored:
-    amplitude = np.array(AMPLITUDES)
     of_sections = []
     for one in sections:
-        stored, true = unit.results.latest(SECTION_RAILS, one.plan.code), reference_wheel(one.scenario, amplitude)
+        stored, true = unit.results.latest(SECTION_RAILS, one.plan.code), reference_wheel(one.scenario, AMPLITUDES)
         found = None if stored is None else stored.value
         part = None if found is None else found.periods[-1]
         of_sections.append(
@@ -207,45 +181,28 @@ def _stored(unit: UnitOfWork, sections: Sequence[BenchSection]) -> Scored:
                 "section": one.plan.code,
                 "worn": one.worn,
                 "exceeded": None if found is None else found.exceeded,
-                "reference": None if part is None else part.reference,
-                "true_excess": (true - reference_wheel(sections[0].scenario, amplitude)).tolist(),
-                "wheel": [] if part is None or found is None else _errors(found.amplitude, part.reference_wheel, true),
-                "refused": [] if part is None else [str(code_of(one.reason) or "") for one in part.reference_wheel],
+                "wheel": []
+                if part is None or found is None
+                else compared_at(AMPLITUDES, true, np.array(found.amplitude), part.reference_wheel),
             }
         )
     wheelsets = []
-    for serial, true in sorted(_true_wheels(sections, amplitude).items()):
+    for serial, true in sorted(_true_wheels(sections).items()):
         apart, geometry = unit.results.latest(WHEELSET_RAILS, serial), unit.geometries.current(serial)
         found_wheels = None if apart is None else apart.value
         now = None if geometry is None else geometry.geometry
         wheelsets.append(
             {
-                "serial": serial,
-                "sections": [] if found_wheels is None else list(found_wheels.part.sections),
                 "apart": []
                 if found_wheels is None
-                else _errors(found_wheels.amplitude, found_wheels.part.conicity, true),
-                "today": [] if now is None else _errors(tuple(now.amplitude.tolist()), now.conicity, true),
+                else compared_at(AMPLITUDES, true, np.array(found_wheels.amplitude), found_wheels.part.conicity),
+                "today": [] if now is None else compared_at(AMPLITUDES, true, now.amplitude, now.conicity),
             }
         )
     return {"sections": of_sections, "wheelsets": wheelsets}
 
 
-def _errors(
-    amplitude: Sequence[float], found: Sequence[Estimate], true: FloatArray
-) -> list[tuple[float, float, bool] | None]:
-    """Return error, std and whether the interval covers, at each of ``AMPLITUDES``; None where nothing is published."""
-    errors: list[tuple[float, float, bool] | None] = []
-    for a, truth in zip(AMPLITUDES, true, strict=True):
-        one = found[int(np.argmin(np.abs(np.array(amplitude) - a)))]
-        if one.value is None or one.std is None or one.low is None or one.high is None or not np.isfinite(truth):
-            errors.append(None)
-        else:
-            errors.append((float(one.value - truth), one.std, bool(one.low <= truth <= one.high)))
-    return errors
-
-
-def _true_wheels(sections: Sequence[BenchSection], amplitude: FloatArray) -> dict[str, FloatArray]:
+def _true_wheels(sections: Sequence[BenchSection]) -> dict[str, FloatArray]:
     """Return by serial the true conicity (k,) on rails as on file."""
     found: dict[str, FloatArray] = {}
     known = sections[0].plan
@@ -253,7 +210,7 @@ def _true_wheels(sections: Sequence[BenchSection], amplitude: FloatArray) -> dic
         for wheelset in plan.wheelsets:
             contact = worn_contact(wheelset, wear_at(wheelset, 0.0), known, np.array([0.0]), 12e-3)
             true = truth_of(contact)
-            found[wheelset.serial] = np.interp(amplitude, true.amplitude, true.equivalent_conicity)
+            found[wheelset.serial] = np.interp(AMPLITUDES, true.amplitude, true.equivalent_conicity)
     return found
 
 
@@ -291,11 +248,11 @@ def _wearing(vehicle: VehiclePlan, rng: np.random.Generator) -> VehiclePlan:
     return replace(vehicle, wheelsets=tuple(replace(one, rate_left=rate, rate_right=rate) for one, rate in wheelsets))
 
 
-def score_trend(seed: int, cache: Path) -> Scored:
+def score_trend(seed: int) -> Scored:
     """Return the trend of the section whose rails wear, beside the truth, as JSON values."""
     sections = worn_for_years(seed)
     with tempfile.TemporaryDirectory(prefix="treadwatch-rails-") as folder:
-        settings = copied(received(sections, cache), Path(folder))
+        settings = received(sections, Path(folder))
         with opened(settings) as (storage, context):
             known = replace(context.settings, rails=RailsSettings(_looked_at(sections[0].scenario)))
             run_jobs(replace(context, settings=known), (*ESTIMATION, refresh_rails.JOB))
@@ -308,7 +265,6 @@ def score_trend(seed: int, cache: Path) -> Scored:
     return {
         "seed": seed,
         "amplitude": trend.amplitude,
-        "periods": trend.periods,
         "true_per_year": per_year,
         "per_year": _interval(trend.per_year),
         "true_per_100_mgt": per_year * 100.0 / TONNAGE,

@@ -225,18 +225,13 @@ def run_seed(seed: int, campaigns: int, wrong_every: int) -> list[dict[str, Any]
 def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]:
     for seed in options.seeds:
         if (seed,) not in done:
-            yield {"seed": seed, "wheelsets": run_seed(seed, options.campaigns, options.wrong_every)}
+            yield {"seed": seed, "wheelsets": run_seed(seed, CAMPAIGNS, WRONG_EVERY)}
 
 
 def _line(case: Case) -> str:
     said = [f"{one['kind']}: {one['code'] or 'good'}" for one in case["wheelsets"] if one["kind"] != SKIPPED]
     drawn = case["wheelsets"][0]["drawn"].values()
     return f"seed {case['seed']}: {', '.join(drawn)}; {', '.join(said) or SKIPPED}"
-
-
-def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--campaigns", type=int, default=CAMPAIGNS, help=f"of two minutes (default: {CAMPAIGNS})")
-    parser.add_argument("--wrong-every", type=int, default=WRONG_EVERY, help=f"seeds (default: {WRONG_EVERY})")
 
 
 def _command(cases: Sequence[Case]) -> str:
@@ -254,6 +249,5 @@ main = Study(
     published=lambda case: [one for item in case["wheelsets"] if item["kind"] == RIGHT for one in item["found"]],
     seeds="0-29",
     key=("seed",),
-    options=_options,
     command=_command,
 ).run

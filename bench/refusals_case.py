@@ -6,7 +6,6 @@ that every pair of them occurs. One running gear is simulated: the first bogie, 
 
 from __future__ import annotations
 
-import tempfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.made_scenario import Tables, changed_scenario
 from bench.made_values import made_alignment, made_window
-from bench.scores import Compared, compared_at
+from bench.scores import AMPLITUDES, Compared, compared_at
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.model_fit import check_radius, rolling_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
@@ -45,13 +45,11 @@ from ingest.simulator.axle_motion import axle_motions, contact_of, true_geometry
 from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_record
 from ingest.simulator.fleet import surveyed
 from ingest.simulator.scenario import Scenario
-from ingest.simulator.scenario_file import load_scenario
 from ingest.simulator.side_files import class_entry
 from ingest.vehicle_class_schema import VehicleClassEntry
 
 SCENARIOS = Path(__file__).parent / "vehicle_scenarios"
 WINDOW_S = 60.0
-AMPLITUDES: FloatArray = np.asarray(np.arange(4, 13) * 0.25e-3)  # m
 RESOLUTION = (1e-3, 1e-3, 1e-3, 1e-3)  # of a count on the bus
 
 DIMENSIONS: Mapping[str, tuple[str, ...]] = {
@@ -63,11 +61,16 @@ DIMENSIONS: Mapping[str, tuple[str, ...]] = {
     "track": ("level", "cross level", "switches"),
     "survey": ("0.1", "0.3", "1.0"),
 }
-_SENSORS = {
-    "quiet": "lateral_noise_ug_per_root_hz = 10.0\nmass_noise_ug_per_root_hz = 10.0\n"
-    "angular_noise_rad_s2_per_root_hz = 2e-4\nlateral_offset_mg = 2.0\nmass_offset_mg = 2.0\n",
-    "mems": "",
-    "gyroscopes": "gyroscopes = true\n",
+_SENSORS: Mapping[str, Tables] = {
+    "quiet": {
+        "lateral_noise_ug_per_root_hz": 10.0,
+        "mass_noise_ug_per_root_hz": 10.0,
+        "angular_noise_rad_s2_per_root_hz": 2e-4,
+        "lateral_offset_mg": 2.0,
+        "mass_offset_mg": 2.0,
+    },
+    "mems": {},
+    "gyroscopes": {"gyroscopes": True},
 }
 _PAIRS = {  # wheel, rail, inclination, deepest wear in mm, asymmetry in percent
     "new P8": ("P8", "56E1", 20, 0.1, 8),
@@ -76,10 +79,10 @@ _PAIRS = {  # wheel, rail, inclination, deepest wear in mm, asymmetry in percent
     "unlike wheels": ("P8", "56E1", 20, 0.9, 45),
     "worn S1002": ("S1002", "60E1", 40, 0.75, 15),
 }
-_TRACKS = {
-    "level": "",
-    "cross level": "[section.cross_level]\nstd_mm = 2.0\n",
-    "switches": "[[section.switches]]\nper_km = 0.7\n",
+_TRACKS: Mapping[str, Tables] = {
+    "level": {},
+    "cross level": {"cross_level": {"std_mm": 2.0}},
+    "switches": {"switches": [{"per_km": 0.7}]},
 }
 _BASES = {"single": "paper_known", "bogie": "soft_known", "coach": "coach_known"}
 
@@ -161,35 +164,33 @@ def _windows(
 
 
 def _scenario(drawn: Mapping[str, str], seed: int, campaigns: int) -> Scenario:
-    base = _BASES[drawn["arrangement"].split()[-1]]
     wheel, rail, inclination, wear, asymmetry = _PAIRS[drawn["pair"]]
-    text = (SCENARIOS / f"{base}.toml").read_text(encoding="utf-8").split("[drawn_fleet]")[0]
-    speed = float(drawn["speed"])
-    for old, new in (
-        ("lowest_m_s = 14.0", f"lowest_m_s = {0.8 * speed:g}"),
-        ("highest_m_s = 25.0", f"highest_m_s = {1.2 * speed:g}"),
-        ("survey_alignment_std_mm = 0.1", f"survey_alignment_std_mm = {drawn['survey']}"),
-        ("campaigns = 8", f"campaigns = {campaigns}"),
-        ("measures_gravity = true\n", f"measures_gravity = true\n{_SENSORS[drawn['sensors']]}{_vibration(drawn)}"),
-        ("[speed]", f"{_TRACKS[drawn['track']]}\n[speed]"),
-        ("alignment_std_mm = 2.0", "alignment_std_mm = 1.8"),
-    ):
-        text = text.replace(old, new, 1)
-    text += (
-        f'[drawn_fleet]\nvehicles = 1\nwheelsets_each = 2\nclass = "C"\n[drawn_fleet.wear]\n'
-        f'distribution = "uniform"\nlowest_mm = {0.6 * wear:g}\nasymmetry_percent = {asymmetry}\n'
-        f'[[drawn_fleet.pairs]]\nname = "P"\nwheel_profile = "{wheel}"\nrail_profile = "{rail}"\n'
-        f"rail_inclination_1_in = {inclination}\ndeepest_wear_mm = {wear}\n"
-    )
-    with tempfile.TemporaryDirectory() as name:
-        path = Path(name) / "case.toml"
-        path.write_text(text.replace("seed = 0", f"seed = {seed}", 1), encoding="utf-8")
-        return load_scenario(path)
-
-
-def _vibration(drawn: Mapping[str, str]) -> str:
-    size = float(drawn["vibration"])
-    return f"axle_box_vibration_m_s2 = {size:g}\naxle_box_vibration_rad_s2 = {0.5 * size:g}\n" if size else ""
+    speed, size = float(drawn["speed"]), float(drawn["vibration"])
+    vibration = {"axle_box_vibration_m_s2": size, "axle_box_vibration_rad_s2": 0.5 * size} if size else {}
+    pair = {"name": "P", "wheel_profile": wheel, "rail_profile": rail, "rail_inclination_1_in": float(inclination)}
+    changes = {
+        "seed": seed,
+        "speed": {"lowest_m_s": round(0.8 * speed, 6), "highest_m_s": round(1.2 * speed, 6)},
+        "section": {
+            "survey_alignment_std_mm": float(drawn["survey"]),
+            "alignment_std_mm": 1.8,
+            **_TRACKS[drawn["track"]],
+        },
+        "sessions": {"campaigns": campaigns},
+        "sensors": {**_SENSORS[drawn["sensors"]], **vibration},
+        "drawn_fleet": {
+            "vehicles": 1,
+            "wheelsets_each": 2,
+            "class": "C",
+            "wear": {
+                "distribution": "uniform",
+                "lowest_mm": round(0.6 * wear, 6),
+                "asymmetry_percent": float(asymmetry),
+            },
+            "pairs": [{**pair, "deepest_wear_mm": wear}],
+        },
+    }
+    return changed_scenario(SCENARIOS / f"{_BASES[drawn['arrangement'].split()[-1]]}.toml", changes)
 
 
 class OnFile(StrEnum):

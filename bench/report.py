@@ -6,7 +6,7 @@ import argparse
 import os
 import platform
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -34,7 +34,11 @@ class BenchRow:
     @property
     def cells(self) -> tuple[str, str, str, str]:
         """As text, for a table of the columns ``COLUMNS``."""
-        return self.what, self.measured, self.reach, "yes" if self.met else SHORT
+        return self.what, self.measured, self.reach, yes_or_no(self.met)
+
+
+Columns = Mapping[str, Callable[..., str]]
+"""What makes the cell of each column from the values that a row is made of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +49,14 @@ class ResultTable:
     rows: Sequence[Sequence[str]]
     right: Iterable[int] = ()
     title: str = ""
+
+    @classmethod
+    def of(
+        cls, columns: Columns, groups: Iterable[Sequence[Any]], right: Iterable[int] = (), title: str = ""
+    ) -> ResultTable:
+        """Return a table whose cells are made by name from what belongs to each row."""
+        rows = [tuple(cell(*group) for cell in columns.values()) for group in groups]
+        return cls(tuple(columns), rows, right, title)
 
     @property
     def met(self) -> bool:
@@ -69,6 +81,11 @@ class ResultTable:
 
 Part = str | ResultTable
 """A paragraph, which the page alone has, or a table."""
+
+
+def yes_or_no(met: bool) -> str:  # noqa: FBT001 - the cell of a column
+    """Return the cell of the column "met"."""
+    return "yes" if met else SHORT
 
 
 def row_table(rows: Iterable[BenchRow]) -> ResultTable:
@@ -102,38 +119,48 @@ def ended(parts: Iterable[Part], name: str, title: str, command: str | None) -> 
     return 0 if all(table.met for table in tables) else 1
 
 
-Options = Mapping[str, tuple[Any, str]]
-"""Default and help of each option; a list takes several values."""
+Options = Mapping[str, tuple[Any, str] | tuple[Any, str, Sequence[str]]]
+"""Default, help and perhaps choices by name; a list takes several values."""
 
 
-def options_of(bench: str, about: str, known: Options, arguments: Sequence[str]) -> argparse.Namespace:
-    """Return the options of a bench, and whether it writes its page."""
+def _options(bench: str, about: str, known: Options, arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog=f"python -m bench {bench}", description=about)
-    for name, (default, words) in known.items():
+    for name, (default, words, *choices) in known.items():
         several = isinstance(default, list)
         kind, count = type(default[0] if several else default), "+" if several else None
-        parser.add_argument(f"--{name}", type=kind, nargs=count, default=default, help=f"{words} ({default})")
+        chosen = choices[0] if choices else None
+        parser.add_argument(
+            f"--{name}", type=kind, nargs=count, default=default, choices=chosen, help=f"{words} ({default})"
+        )
     parser.add_argument("--write-docs", action="store_true", help=f"write docs/results/{bench}.md too")
     return parser.parse_args(arguments)
 
 
 @dataclass(frozen=True, slots=True)
-class RowBench:
-    """A bench that measures rows once."""
+class Bench:
+    """A bench that measures once, in an empty folder."""
 
     name: str
     title: str
     about: str
-    rows: Callable[[argparse.Namespace, Path], Iterator[BenchRow]]
+    parts: Callable[[argparse.Namespace, Path], Iterable[Part]]
     options: Options = field(default_factory=dict)
 
     def run(self, arguments: Sequence[str]) -> int:
-        """Measure in an empty folder, print, and return 1 where a row falls short."""
-        options = options_of(self.name, self.about, self.options, arguments)
+        """Measure, print, and return 1 where a row falls short."""
+        options = _options(self.name, self.about, self.options, arguments)
         with tempfile.TemporaryDirectory(prefix=f"treadwatch-{self.name}-") as folder:
-            rows = printed(self.rows(options, Path(folder)))
+            parts = list(self.parts(options, Path(folder)))
         command = " ".join(["python -m bench", self.name, *arguments]) if options.write_docs else None
-        return ended([row_table(rows)], self.name, self.title, command)
+        return ended(parts, self.name, self.title, command)
+
+
+Rows = Callable[[argparse.Namespace, Path], Iterable[BenchRow]]
+
+
+def row_bench(name: str, title: str, about: str | None, rows: Rows, options: Options | None = None) -> Bench:
+    """Return a bench of rows that are printed as soon as they are there."""
+    return Bench(name, title, about or "", lambda *given: [row_table(printed(rows(*given)))], options or {})
 
 
 def write_page(name: str, title: str, command: str, parts: Iterable[Part], folder: Path = RESULTS) -> Path:

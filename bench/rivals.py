@@ -20,6 +20,7 @@ import numpy as np
 from api.comparison.study import TrackInformation, TrueWheelset, on_file, read_truth
 from api.comparison.trial import ESTIMATION, deploy, opened, parameters_of, receive, record, replayed, run_jobs
 from bench.report import BenchRow, Part, ResultTable, row_table
+from bench.scores import compared_at
 from bench.study import Case, Key, Study, one_of
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.profiles import wheel_profile
@@ -62,20 +63,10 @@ class RivalScore:
     state_bytes: int
 
 
-def scores(
-    scenario: Scenario,
-    family: str,
-    tracks: Sequence[TrackInformation],
-    cache: Path,
-    folder: Path,
-    most: int,
-    named: Sequence[str],
-) -> Iterator[RivalScore]:
+def scores(scenario: Scenario, family: str, tracks: Sequence[TrackInformation], folder: Path) -> Iterator[RivalScore]:
     """Yield the score of every estimator on every wheelset."""
-    recorded = record(scenario, cache, workers=1)
-    truths = read_truth(recorded.truth)
-    as_run = _as_run(scenario)
-    shown = [truths[i] for i in np.unique(np.linspace(0, len(truths) - 1, min(most, len(truths))).astype(int))]
+    recorded = record(scenario, folder / "recordings", workers=1)
+    truths, as_run = read_truth(recorded.truth), _as_run(scenario)
     for track in tracks:
         put = on_file(scenario, track)
         settings = deploy(put, folder / track.value)
@@ -83,10 +74,10 @@ def scores(
         jobs = ESTIMATION[1:2] if track is TrackInformation.NONE else ESTIMATION[:2]
         with opened(settings) as (storage, context):
             run_jobs(context, jobs)
-            for truth in shown:
+            for truth in truths:
                 with storage.read() as unit:
                     parameters, motions = motions_of(unit, truth.serial, context)
-                for name, found, cpu_s, size in _estimated(parameters, motions, named):
+                for name, found, cpu_s, size in _estimated(parameters, motions):
                     running_s = sum(float(motion.valid.sum()) * motion.sample_interval_s for motion in motions)
                     of = (family, scenario.seed, track.value, name)
                     yield _score(of, truth, as_run[truth.serial], found, (cpu_s, running_s, size))
@@ -106,15 +97,14 @@ def motions_of(unit: UnitOfWork, serial: str, context: JobContext) -> tuple[Esti
 
 
 def _estimated(
-    parameters: EstimatorParameters, motions: Sequence[Motion], named: Sequence[str]
+    parameters: EstimatorParameters, motions: Sequence[Motion]
 ) -> Iterator[tuple[str, CurveEstimate, float, int]]:
     """Yield name, result, processor time and bytes; where the first one says mismatch nothing else is published.
 
     The jobs do so: whatever the estimator, the data then do not follow the class of the vehicle.
     """
     mismatch: Reason | None = None
-    first, *others = estimators()
-    for estimator in (first, *(one for one in others if one.name in named)):
+    for estimator in estimators():
         began = time.process_time()
         state = estimator.init(parameters)
         for motion in motions:
@@ -160,27 +150,19 @@ def _score(
     cost: tuple[float, float, int],
 ) -> RivalScore:
     ran = equivalent_conicity(*as_run, truth.amplitude)
-    errors: list[float | None] = []
-    errors_as_run: list[float | None] = []
-    covered, own_covered = [], []
-    for amplitude, true, run in zip(truth.amplitude, truth.conicity, ran, strict=True):
-        at = int(np.argmin(np.abs(found.amplitude - amplitude)))
-        one = found.conicity[at]
-        if one.value is None or one.low is None or one.high is None:
-            errors.append(None)
-            errors_as_run.append(None)
-            continue
-        errors.append(float(one.value - true))
-        errors_as_run.append(float(one.value - run))
-        covered.append(bool(one.low <= true <= one.high))
-        own = np.nan if found.own_std is None else float(found.own_std[at])
-        if np.isfinite(own):
-            own_covered.append(bool(abs(one.value - true) <= NORMAL_95 * own))
+    own_std = np.full(len(found.amplitude), np.nan) if found.own_std is None else found.own_std
+    scored = compared_at(truth.amplitude, truth.conicity, found.amplitude, found.conicity)
+    at = [int(np.argmin(np.abs(found.amplitude - amplitude))) for amplitude in truth.amplitude]
+    given = [(one, float(own_std[place])) for one, place in zip(scored, at, strict=True) if one is not None]
+    errors = tuple(None if one is None else one.error for one in scored)
+    shift = truth.conicity - ran
+    errors_as_run = tuple(None if one is None else one + float(off) for one, off in zip(errors, shift, strict=True))
+    covered = tuple(one.covered for one, _ in given)
+    own_covered = tuple(abs(one.error) <= NORMAL_95 * own for one, own in given if np.isfinite(own))
     reason = "" if found.reason is None else str(found.reason.code)
     family, seed, track, name = of
     return RivalScore(
-        family, seed, track, name, truth.serial, tuple(errors), tuple(errors_as_run),
-        tuple(covered), tuple(own_covered), reason, *cost,
+        family, seed, track, name, truth.serial, errors, errors_as_run, covered, own_covered, reason, *cost,
     )  # fmt: skip
 
 
@@ -347,10 +329,8 @@ def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]
         if not tracks:
             continue
         with tempfile.TemporaryDirectory(prefix="treadwatch-rivals-") as name:
-            cache, folder = options.keep or Path(name) / "recordings", Path(name) / "data"
-            scenario = fleet(family, seed, options.vehicles, cache / "wheels")
-            known = [TrackInformation(track) for track in tracks]
-            made = list(scores(scenario, family, known, cache, folder, options.wheelsets, options.estimators))
+            scenario = fleet(family, seed, options.vehicles, Path(name) / "wheels")
+            made = list(scores(scenario, family, [TrackInformation(track) for track in tracks], Path(name)))
         for track in tracks:
             of_track = [asdict(one) for one in made if one.track == track]
             yield {"family": family, "seed": seed, "track": track, "scores": of_track}
@@ -360,11 +340,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--families", type=one_of(FAMILIES), default=list(FAMILIES), help=", ".join(FAMILIES))
     tracks = [str(track.value) for track in TrackInformation]
     parser.add_argument("--tracks", type=one_of(tracks), default=tracks, help=", ".join(tracks))
-    every = [item.name for item in estimators()]
-    parser.add_argument("--estimators", type=one_of(every), default=every, help="names; the shipped one always runs")
     parser.add_argument("--vehicles", type=int, default=4, help="of four wheelsets (4)")
-    parser.add_argument("--wheelsets", type=int, default=16, help="that are scored, spread over the fleet (16)")
-    parser.add_argument("--keep", type=Path, default=None, help="folder that keeps recordings")
 
 
 main = Study(

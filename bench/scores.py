@@ -14,6 +14,7 @@ from estimation.values.quantities import Estimate
 from estimation.values.units import NORMAL_95
 
 MISS = 40.0  # weight of a miss in the interval score of 95 % intervals
+AMPLITUDES: FloatArray = np.asarray(np.arange(4, 13) * 0.25e-3)  # m: 1 to 3 mm, of the conicities that are judged
 COLUMNS = ("numbers", "error", "z rms", "half width", "interval score", "cover")
 
 

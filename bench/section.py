@@ -11,14 +11,13 @@ import math
 import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from api.comparison.trial import recording_key
-from bench.fleet_case import COVERAGE, published_of, scored, summary_line
-from bench.report import Part, ResultTable
+from bench.fleet_case import COVERAGE, fleet_options, published_of, scored, summary_line
+from bench.report import Columns, ResultTable, yes_or_no
 from bench.study import Case, Key, Study, in_processes
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario import Scenario, VehicleErrors
@@ -48,21 +47,16 @@ SHORT: Mapping[str, str] = {
     "alignment": "alignment",
     "gauge": "gauge found",  # no number is asked for it
 }
-HEADER = (
-    *("row", "seeds", "median", "95th", "reach", "bias", "given", *SHORT.values(), "d 3-60 m (as published)"),
-    *("gauge", "s", "met", f"outside {100 * COVERAGE[0]:.0f}-{100 * COVERAGE[1]:.0f} %"),
-)
 TITLE = (
     "equivalent conicity, mean absolute error over 1-3 mm; share of 95 % intervals that cover (of how many);"
     " D bins: S and A would count there too, but are not published"
 )
 
 
-def seed_cases(seed: int, rows: Sequence[str], drawn: bool, keep: Path | None) -> list[Case]:  # noqa: FBT001 - a task
+def seed_cases(seed: int, rows: Sequence[str], drawn: bool) -> list[Case]:  # noqa: FBT001 - a task
     """Return the scores of rows for one seed, which share one simulation."""
     with tempfile.TemporaryDirectory(prefix="treadwatch-section-") as folder:
-        cache = keep or Path(folder)
-        return [scored(row_scenario(row, seed, drawn=drawn), cache) for row in rows]
+        return [scored(row_scenario(row, seed, drawn=drawn), Path(folder)) for row in rows]
 
 
 def row_scenario(row: str, seed: int, *, drawn: bool) -> Scenario:
@@ -78,7 +72,7 @@ def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case 
         for seed in options.seeds
         for rows in _sharing([row for row in options.rows if _is_due(row, seed, drawn, done)], seed)
     ]
-    for cases in in_processes(partial(seed_cases, keep=options.keep), tasks, options.workers):
+    for cases in in_processes(seed_cases, tasks, options.workers):
         yield from [None] if cases is None else cases
 
 
@@ -181,29 +175,6 @@ def _median(values: Sequence[float]) -> float:
     return float(np.median(values)) if values else math.nan
 
 
-def tables(cases: Sequence[Case]) -> list[Part]:
-    """Return the accuracy table."""
-    rows = [
-        (
-            item.row + (" + errors" if item.drawn else ""),
-            str(item.seeds),
-            _number(item.median, 4),
-            _number(item.p95, 4),
-            _reach(item),
-            _number(item.bias, 4),
-            f"{item.given:.0%}",
-            *(_share(item.coverage[kind]) for kind in SHORT),
-            f"{_number(1e3 * item.alignment, 3)} ({_number(1e3 * item.alignment_filtered, 3)}) mm",
-            f"{_number(1e3 * item.gauge, 2)} mm",
-            f"{item.seconds:.0f}",
-            "yes" if item.met else "NO",
-            ", ".join(item.outside) or "-",
-        )
-        for item in summaries(cases)
-    ]
-    return [ResultTable(HEADER, rows, range(1, 7), TITLE)]
-
-
 def _reach(item: RowSummary) -> str:
     limit = LIMITS.get(item.row, math.inf)
     if limit is None:
@@ -222,11 +193,34 @@ def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 
+COLUMNS: Columns = {
+    "row": lambda item: item.row + (" + errors" if item.drawn else ""),
+    "seeds": lambda item: str(item.seeds),
+    "median": lambda item: _number(item.median, 4),
+    "95th": lambda item: _number(item.p95, 4),
+    "reach": _reach,
+    "bias": lambda item: _number(item.bias, 4),
+    "given": lambda item: f"{item.given:.0%}",
+    **{short: lambda item, kind=kind: _share(item.coverage[kind]) for kind, short in SHORT.items()},
+    "d 3-60 m (as published)": lambda item: (
+        f"{_number(1e3 * item.alignment, 3)} ({_number(1e3 * item.alignment_filtered, 3)}) mm"
+    ),
+    "gauge": lambda item: f"{_number(1e3 * item.gauge, 2)} mm",
+    "s": lambda item: f"{item.seconds:.0f}",
+    "met": lambda item: yes_or_no(item.met),
+    f"outside {100 * COVERAGE[0]:.0f}-{100 * COVERAGE[1]:.0f} %": lambda item: ", ".join(item.outside) or "-",
+}
+
+
+def tables(cases: Sequence[Case]) -> list[ResultTable]:
+    """Return the accuracy table."""
+    return [ResultTable.of(COLUMNS, [(item,) for item in summaries(cases)], range(1, 7), TITLE)]
+
+
 def _options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(rows=list(LIMITS))
     parser.add_argument("--parameter-errors", choices=VARIANTS, default="both", help="run rows without, with, or both")
-    parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--keep", type=Path, default=None, help="folder that keeps recordings (150 MB each)")
+    fleet_options(parser)
 
 
 main = Study(

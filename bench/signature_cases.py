@@ -8,11 +8,9 @@ from functools import cache
 
 import numpy as np
 
-from bench.made_values import made_window
+from bench.drawn_journey import course, measured, worn_p8
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve
-from estimation.contact.profiles import rail_profile, wheel_profile
-from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.motion.integration import Gates, SignalParameters, WindowParameters
 from estimation.signatures.window_signatures import SignatureParameters, window_signatures
 from estimation.values.arrays import FloatArray
@@ -21,17 +19,12 @@ from estimation.values.signatures import ConicitySource, LibraryEntry, Place, Si
 from estimation.values.units import DAY_NS
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import Arrangement, VehicleClass, VehicleParameters
-from ingest.simulator.motion import STEP
 from ingest.simulator.running_gear import PreparedTable, RunningGear, simulate_gear
-from ingest.simulator.sensors import Channel, SensorNode, draw_offsets, measure
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
 
 GRID: FloatArray = np.asarray(np.arange(-160, 161) * 0.05e-3)  # m
 AMPLITUDE = np.array([3e-3])  # m
 LENGTH, BEGIN = 3100.0, 60.0  # m
-NODE = SensorNode(  # 100 ug per root hertz, angular channels at twice that, offsets, drift
-    Channel(1e-3, 0.2, 1e-3), Channel(2e-3, 0.2, 1e-3), Channel(2e-3, 0.2, 1e-3), Channel(1e-3, 0.2, 1e-3)
-)
 CONDITIONS = tuple(0.25e-3 * k for k in range(7))  # m of tread worn away: seven conditions of the wheels
 WITHIN = 0.03e-3  # m, by which wheelsets of one condition differ
 LABEL_STD = 0.01  # of the conicities that the library has on file
@@ -81,9 +74,7 @@ def window_parameters() -> WindowParameters:
 
 def wheelset(serial: str, depth: float, condition: int, rng: np.random.Generator) -> Wheelset:
     """Return a P8 wheelset that has lost so much of its tread, on a vehicle that differs from its class."""
-    wheel, rail, skew = wheel_profile("P8"), rail_profile("56E1"), rng.uniform(-0.1, 0.1)
-    left, right = (worn(wheel, wear_course(WearFamily.P8_ON_56E1, depth * (1 + side * skew))) for side in (1, -1))
-    return on_a_vehicle(serial, condition, WheelsetOnTrack(left, right, rail, rail, 1 / 20, 1.435), rng)
+    return on_a_vehicle(serial, condition, worn_p8(depth, rng.uniform(-0.1, 0.1)), rng)
 
 
 def on_a_vehicle(serial: str, condition: int, on_track: WheelsetOnTrack, rng: np.random.Generator) -> Wheelset:
@@ -144,19 +135,13 @@ def window_of(
     runs: Wheelset, section: str, track: TrackTruth, speed: float, rng: np.random.Generator, start_ns: int = 0
 ) -> Window:
     """Return one window of a run over a whole section, as its node measures it, at positions some metres off."""
-    t = np.arange(round((LENGTH - 2 * BEGIN) / (1.05 * speed) / STEP)) * STEP
-    course = speed * (1 + 0.04 * np.sin(2 * np.pi * t / rng.uniform(60, 200) + rng.uniform(0, 6)))
-    motion = simulate_gear(RunningGear(runs.vehicle), [runs.table], track, np.asarray(course), BEGIN)[0]
+    speeds = course(LENGTH - 2 * BEGIN, speed, rng)
+    motion = simulate_gear(RunningGear(runs.vehicle), [runs.table], track, speeds, BEGIN)[0]
     if motion.outside:
         raise LeftTableError(f"{runs.serial} left its contact table {motion.outside} times")
-    values = measure(motion, NODE, rng, draw_offsets(NODE, rng)).values
+    window = measured(motion, runs.serial, start_ns, rng, track_section=section)
     offset = float(np.clip(rng.normal(0.0, POSITION_STD), -2 * POSITION_STD, 2 * POSITION_STD))
-    return made_window(
-        *(values, runs.serial, start_ns, STEP * NODE.stride),
-        speed=motion.speed[:: NODE.stride],
-        distance=motion.distance[:: NODE.stride] + offset,
-        track_section=section,
-    )
+    return replace(window, distance=window.distance + offset)
 
 
 def entries(

@@ -1,11 +1,9 @@
-"""What the fleets of the signature bench run, seed by seed, and passes that are kept from one bench to the next."""
+"""What the fleets of the signature bench run, seed by seed, and the regressions that they are compared with."""
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -155,22 +153,12 @@ def retracked(made: SimulatedFleet, seed: int, count: int = 14) -> tuple[list[Pa
 SPEEDS = Plan(sections=3, others=2, teachers=21, judged=7, speeds=((14.0, 16.0), (18.0, 20.0)), asked=(16.5, 17.5))
 
 
-def simulated(seed: int, folder: Path | None = None) -> Simulated:
-    """Return the passes of a seed: from ``folder`` where it has them, else simulated, and kept there."""
-    file = None if folder is None else folder / f"signatures-{seed}.pickle"
-    if file is not None and file.exists():
-        kept: Simulated = pickle.loads(file.read_bytes())  # noqa: S301 - written by the lines below
-        return kept
+def simulated(seed: int) -> Simulated:
+    """Return the passes of a seed."""
     made = fleet(Plan(), seed)
     others = foreign(made.tracks, tracks(Plan().others, seed, Plan().sections), seed)
     passes, tamped = retracked(made, seed)
-    # tracks are large
-    main, speeds = (replace(each, tracks={}) for each in (made, fleet(SPEEDS, seed)))
-    found = Simulated(main, speeds, others, tuple(passes), frozenset(tamped))
-    if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(pickle.dumps(found))
-    return found
+    return Simulated(made, fleet(SPEEDS, seed), others, tuple(passes), frozenset(tamped))
 
 
 PENALTIES = 10.0 ** np.arange(-3, 4)

@@ -13,7 +13,6 @@ from dataclasses import fields, replace
 from functools import reduce
 from itertools import pairwise
 from operator import getitem
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -76,11 +75,12 @@ def rows_of(cases: Sequence[Case], kind: str, place: str, name: str) -> Iterator
 
 def _errors(answers: Sequence[Case], what: str) -> BenchRow:
     errors = np.array([abs(one["value"] - one["truth"]) for one in answers if "value" in one])
-    median, most = np.quantile(errors, [0.5, 0.95])
-    text = (
-        f"median error {median:.4f}, 95th percentile {most:.4f}; {len(answers) - len(errors)} of {len(answers)} refused"
-    )
-    return BenchRow(what, text, "0.05", bool(most <= 0.05))
+    text = f"median error {_quantiles(errors)}; {len(answers) - len(errors)} of {len(answers)} refused"
+    return BenchRow(what, text, "0.05", bool(np.quantile(errors, 0.95) <= 0.05))
+
+
+def _quantiles(errors: np.ndarray) -> str:
+    return f"{np.median(errors):.4f}, 95th percentile {np.quantile(errors, 0.95):.4f}"
 
 
 def _seen_states(cases: Sequence[Case], kind: str) -> BenchRow:
@@ -104,7 +104,7 @@ def _product_rows(cases: Sequence[Case]) -> Iterator[BenchRow]:
         errors = np.abs([one["value"] - one["truth"] for one in known])
         covered = float(np.mean([one["low"] <= one["truth"] <= one["high"] for one in known]))
         text = (
-            f"median error {np.median(errors):.4f}, 95th percentile {np.quantile(errors, 0.95):.4f};"
+            f"median error {_quantiles(errors)};"
             f" {100 * covered:.1f} % of {len(known)} covered;"
             f" {sum(one['disagrees'] for one in known)} called different from the geometry;"
             f" {len(answers) - len(known)} of {len(answers)} refused"
@@ -130,9 +130,7 @@ def _rival_row(cases: Sequence[Case], rival: str) -> BenchRow:
     for place in ("same", "other"):
         pairs = np.array([pair for case in cases for pair in case["rivals"][rival][place]])
         errors = np.abs(pairs[:, 1] - pairs[:, 0])
-        parts.append(
-            f"{place} sections: median {np.median(errors):.4f}, 95th percentile {np.quantile(errors, 0.95):.4f}"
-        )
+        parts.append(f"{place} sections: median {_quantiles(errors)}")
     return BenchRow(
         f"{rival} on the same features, without places; true conicities on file", "; ".join(parts), "shown", met=True
     )
@@ -297,17 +295,18 @@ def _rival(made: SimulatedFleet, *, linear: bool) -> dict[str, list[tuple[float,
 
 def _retired(passes: Simulated, seed: int) -> dict[str, float]:
     """Return how many stretches of a section that was worked on are found, and of others; half of it was tamped."""
-    tamped = passes.tamped
-    found = current(entries(passes.retracked, np.random.default_rng([seed, 9]), MEASURED_STD), SignatureParameters())
+    tamped, limit = passes.tamped, SignatureParameters().largest_distance
+    known = entries(passes.retracked, np.random.default_rng([seed, 9]), MEASURED_STD)
+    tried = current(known, replace(SignatureParameters(), largest_distance=0.0)).changes
     places = {item.place for one in passes.retracked for item in one.signatures}
-    changed = {change.place for change in found.changes}
+    changed = {one.place for one in tried if one.distance > limit}
     return {
         "worked_on": len(places & tamped),
         "found": len(changed & tamped),
         "others": len(places - tamped),
         "false": len(changed - tamped),
-        "least": min((one.distance for one in found.tried if one.place in tamped), default=0.0),
-        "most": max((one.distance for one in found.tried if one.place not in tamped), default=0.0),
+        "least": min((one.distance for one in tried if one.place in tamped), default=0.0),
+        "most": max((one.distance for one in tried if one.place not in tamped), default=0.0),
     }
 
 
@@ -316,7 +315,7 @@ def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]
         if (seed,) in done:
             continue
         try:
-            made = simulated(seed, options.fleets)
+            made = simulated(seed)
         except LeftTableError as error:
             say(f"seed {seed} is left out: {error}")
             continue
@@ -334,7 +333,6 @@ def _line(case: Case) -> str:
 
 def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--product-seeds", type=seeds_of, default=[0], help="those of the rows through the product")
-    parser.add_argument("--fleets", type=Path, default=None, help="folder that keeps the simulated passes of each seed")
 
 
 main = Study(

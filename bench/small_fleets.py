@@ -6,67 +6,27 @@ import uuid
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from api.comparison.trial import Recorded, copied, deploy, receive, record, register
 from api.factory import open_store
 from api.settings import Settings
+from bench.made_scenario import scenario_of
 from bench.services import created
 from fleet_db.migrate import upgrade
 from fleet_db.storage import SqlStorage
 from ingest.simulator.scenario import Scenario
-from ingest.simulator.scenario_file import read_scenario
 
 LARGEST_SPEED = 22.0  # m/s
 APPLICATION_AT = 8
 """Place of four bytes of a BLF file that name the program: with them each copy has a digest of its own."""
 
-FLEET = """\
-name = "BENCH"
-description = "vehicles on one section"
-seed = {seed}
-[fleet]
-code = "{code}"
-name = "Fleet {code}"
-[section]
-code = "{code}-1"
-number = 1
-name = "Section {code}-1"
-length_m = {length}
-surveyed = {surveyed}
-[speed]
-lowest_m_s = 14.0
-highest_m_s = {speed}
-[sensors]
-kind = "mems"
-[bus]
-recorder_clock_offset_s = 1.5
-{position}[sessions]
-start = 2024-01-08T05:30:00Z
-campaigns = {campaigns}
-minutes_each = {minutes}
-first_odometer_km = 1000.0
-km_between = {km_between}
-km_per_day = 500.0
-{within}"""
-POSITION = "[position]\nlargest_offset_m = {}\nlargest_scale_percent = 0.1\n"
-VEHICLE = """\
-[[vehicles]]
-code = "{code}"
-class = "railcar"
-max_speed_km_h = 120.0
-axle_offsets_m = {offsets}
-"""
-WHEELSET = """\
-[[vehicles.wheelsets]]
-serial = "{code}{axle}"
-initial_wear_mm = {worn}
-wear_mm_per_100000_km = {wear}
-"""
+START = datetime(2024, 1, 8, 5, 30, tzinfo=UTC)
 
 
 def small_fleet(
-    folder: Path,
     code: str,
     wheelsets: Mapping[str, Sequence[tuple[float, float]]],
     offsets: Sequence[float],
@@ -79,19 +39,50 @@ def small_fleet(
     position_m: float | None = None,
     within_m: float | None = None,
 ) -> Scenario:
-    """Return a scenario, written into a folder; wheelsets by vehicle have wear and wear by 100,000 km, mm."""
-    length = LARGEST_SPEED * 60.0 * minutes + 100.0 + 2.0 * (within_m or 0.0)
-    within = "" if within_m is None else f"start_within_m = {within_m}\n"
-    values = {"seed": seed, "code": code, "length": length, "surveyed": str(surveyed).lower(), "speed": LARGEST_SPEED}
-    values |= {"campaigns": campaigns, "minutes": minutes, "km_between": km_between, "within": within}
-    parts = [FLEET.format(**values, position="" if position_m is None else POSITION.format(position_m))]
-    for vehicle, worn_and_wear in wheelsets.items():
-        parts.append(VEHICLE.format(code=f"{code}-{vehicle}", offsets=list(offsets)))
-        for axle, (worn, wear) in enumerate(worn_and_wear, start=1):
-            parts.append(WHEELSET.format(code=f"{code}-{vehicle}", axle=axle, worn=worn, wear=wear))
-    file = folder / "scenario.toml"
-    file.write_text("".join(parts), encoding="utf-8")
-    return read_scenario(file)
+    """Return vehicles on one section; wheelsets by vehicle have wear and wear by 100,000 km, mm."""
+    section, length = f"{code}-1", LARGEST_SPEED * 60.0 * minutes + 100.0 + 2.0 * (within_m or 0.0)
+    return scenario_of(
+        {
+            "name": "BENCH",
+            "description": "vehicles on one section",
+            "seed": seed,
+            "fleet": {"code": code, "name": f"Fleet {code}"},
+            "section": {
+                "code": section,
+                "number": 1,
+                "name": f"Section {section}",
+                "length_m": length,
+                "surveyed": surveyed,
+            },
+            "speed": {"lowest_m_s": 14.0, "highest_m_s": LARGEST_SPEED},
+            "sensors": {"kind": "mems"},
+            "bus": {"recorder_clock_offset_s": 1.5},
+            **({"position": {"largest_offset_m": position_m, "largest_scale_percent": 0.1}} if position_m else {}),
+            "sessions": {
+                "start": START,
+                "campaigns": campaigns,
+                "minutes_each": minutes,
+                "first_odometer_km": 1000.0,
+                "km_between": km_between,
+                "km_per_day": 500.0,
+                **({"start_within_m": within_m} if within_m else {}),
+            },
+            "vehicles": [_vehicle(f"{code}-{vehicle}", offsets, worn) for vehicle, worn in wheelsets.items()],
+        }
+    )
+
+
+def _vehicle(code: str, offsets: Sequence[float], wheelsets: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    return {
+        "code": code,
+        "class": "railcar",
+        "max_speed_km_h": 120.0,
+        "axle_offsets_m": list(offsets),
+        "wheelsets": [
+            {"serial": f"{code}{axle}", "initial_wear_mm": worn, "wear_mm_per_100000_km": wear}
+            for axle, (worn, wear) in enumerate(wheelsets, start=1)
+        ],
+    }
 
 
 def cars(vehicles: int, wear: float = 0.0) -> dict[str, list[tuple[float, float]]]:
@@ -146,11 +137,17 @@ def workload(
     folder: Path, vehicles: int, minutes: float, server: str | None = None, *, surveyed: bool = True
 ) -> Workload:
     """Return two journeys of each of some vehicles of four wheelsets, of which the first is received already."""
-    folder.mkdir(parents=True, exist_ok=True)
-    scenario = small_fleet(folder, "K", cars(vehicles), FOUR_AXLES, minutes, surveyed=surveyed)
+    scenario = small_fleet("K", cars(vehicles), FOUR_AXLES, minutes, surveyed=surveyed)
     load = deployed(folder, scenario, server)
     receive(replace(load, recordings=load.recordings[:1]).recorded, load.received)
     return replace(load, recordings=load.recordings[1:])
+
+
+def kept_for_ever(folder: Path) -> Path:
+    """Return a retention file: the recordings are older than what is kept by default."""
+    file = folder / "retention.toml"
+    file.write_text('[days]\nwindow_samples = "for ever"\nwindow_bin_tables = "for ever"\n', encoding="utf-8")
+    return file
 
 
 def put_copies(storage: SqlStorage, model: str, codes: Sequence[str]) -> None:

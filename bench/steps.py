@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.report import BenchRow, RowBench
+from bench.report import BenchRow, row_bench
 from bench.steps_lives import DAY_NS, HISTORIES, LIMIT, MODEL, Case, Life, life, odds
 from bench.steps_others import suspension_rows, turned_rows
 from estimation.jobs.refresh_trends import trend_of
@@ -203,10 +203,10 @@ def false_steps(given: Life) -> tuple[int, float]:
     return len(places), (records[-1].to_ns - records[0].from_ns) / DAY_NS / 365.25
 
 
-main = RowBench(
+main = row_bench(
     "steps",
     "Sudden changes of conicity, curve and suspension",
-    __doc__ or "",
+    __doc__,
     _rows,
     {
         "seed": (20_000, "of the first life"),

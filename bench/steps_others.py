@@ -135,7 +135,7 @@ def suspension_rows(seed: int, lives: int) -> Iterator[BenchRow]:
             findings = fleet(history, seed + 100 * number + i)
             histories = suspension_histories(findings)
             breaches = {code: _breaches(code, list(histories[code])) for code in ("V0", "V1")}
-            first = history - _before_first(breaches["V0"], history + FINDINGS_BEHIND)
+            first = len(breaches["V0"]) - FINDINGS_BEHIND
             behind = [is_found for is_found, _ in breaches["V0"][max(0, first) :]]
             after = next((k for k, one in enumerate(behind) if one), None)
             found.append(999 if after is None else after + 1 - min(0, first))
@@ -149,10 +149,6 @@ def suspension_rows(seed: int, lives: int) -> Iterator[BenchRow]:
     yield BenchRow("the same", text, "95 %", float(np.mean(lasting)) >= 0.95)
     text = f"{wrong} in {years:.0f} vehicle-years"
     yield BenchRow("right springs beside it that are found changed", text, "at most 0.02 a year", wrong / years <= 0.02)
-
-
-def _before_first(breaches: list[tuple[bool, int]], findings: int) -> int:
-    return findings - len(breaches)
 
 
 def _breaches(code: str, changes: list[object]) -> list[tuple[bool, int]]:

@@ -9,13 +9,13 @@ each run of 16 hours while every version is kept, and one a day before.
 
 from __future__ import annotations
 
+import argparse
 import os
-import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from bench.report import BenchRow, RowBench
+from bench.report import BenchRow, row_bench
 from bench.wheelset_recording import recorded_year
 from bench.wheelset_year import HOURS_A_DAY, SERIAL, WINDOWS_A_DAY
 from fleet_db.keeping.purge import purge
@@ -40,9 +40,9 @@ PER_INTERVAL = {"roll-ups": ("roll_ups", "roll_up_states", "rolling_sums", "wind
 Bytes = Mapping[str, float]
 
 
-def rows() -> Iterator[BenchRow]:
+def rows(_options: argparse.Namespace, folder: Path) -> Iterator[BenchRow]:
     """Yield the bytes of a wheelset and year by kind, before and after the purge."""
-    with tempfile.TemporaryDirectory() as folder, recorded_year(Path(folder)) as year:
+    with recorded_year(folder) as year:
         storage, end_ns = year.storage, year.put(1, DAYS - DAYS_AFTER)
         before, geometry = _bytes(storage, Retention(every_estimate=None)), _current(storage)
         cpu_s = _purge(storage, end_ns)
@@ -120,4 +120,4 @@ def _current(storage: SqlStorage) -> frozenset[tuple[int | None, bytes]]:
     return frozenset((one.interval, pack_geometry(one.geometry)) for one in found[: DAYS - DAYS_AFTER - 20])
 
 
-main = RowBench("stored", "Bytes of a wheelset and year", __doc__ or "", lambda _options, _folder: rows()).run
+main = row_bench("stored", "Bytes of a wheelset and year", __doc__, rows).run

@@ -11,13 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.made_values import made_window
-from bench.signature_cases import NODE
+from bench.drawn_journey import course, measured, worn_p8
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import contact_table
 from estimation.contact.method import ContactMethod
-from estimation.contact.profiles import rail_profile, wheel_profile
-from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.axle_distance import with_frame_yaw
 from estimation.motion.integration import WindowParameters
@@ -35,9 +32,7 @@ from estimation.vehicle.vehicle_class import (
     VehicleParameters,
 )
 from ingest.simulator.irregularity import Isolated, IsolatedKind
-from ingest.simulator.motion import STEP, WheelsetMotion
 from ingest.simulator.running_gear import PreparedTable, RunningGear, simulate_gear
-from ingest.simulator.sensors import draw_offsets, measure
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
 
 LENGTH, BEGIN = 4200.0, 100.0  # m, of the section, and where journeys begin and end
@@ -153,11 +148,7 @@ def _vehicle(plan: FleetPlan, code: str, rng: np.random.Generator) -> tuple[_Veh
     tables, conicity = [], {}
     for serial in serials:
         depth, skew = float(rng.uniform(0.0, DEEPEST)), float(rng.uniform(-0.1, 0.1))
-        left, right = (
-            worn(wheel_profile("P8"), wear_course(WearFamily.P8_ON_56E1, depth * (1 + side * skew))) for side in (1, -1)
-        )
-        rail = rail_profile("56E1")
-        on_track = WheelsetOnTrack(left, right, rail, rail, 1 / 20, 1.435)
+        on_track = worn_p8(depth, skew)
         table = contact_table(on_track, GRID, GAUGES if plan.switches else (0.0,), outside="hold")
         standard = contact_table(on_track, GRID, (0.0,), outside="hold", method=ContactMethod.EN15302)
         conicity[serial] = equivalent_conicity(GRID, standard.rolling_radius_difference[:, 0], AMPLITUDES)
@@ -168,25 +159,13 @@ def _vehicle(plan: FleetPlan, code: str, rng: np.random.Generator) -> tuple[_Veh
 def _journey(
     vehicle: _Vehicle, track: TrackTruth, mean_speed: float, start_ns: int, rng: np.random.Generator
 ) -> list[Window]:
-    t = np.arange(round((LENGTH - 2 * BEGIN) / (1.05 * mean_speed) / STEP)) * STEP
-    speed = np.asarray(mean_speed * (1 + 0.04 * np.sin(2 * np.pi * t / rng.uniform(60, 200) + rng.uniform(0, 6))))
+    speed = course(LENGTH - 2 * BEGIN, mean_speed, rng)
     found, count = [], vehicle.gear.axles
     for first in range(0, len(vehicle.serials), count):
         motions = simulate_gear(vehicle.gear, vehicle.tables[first : first + count], track, speed, BEGIN)
         for axle, motion in enumerate(motions, start=first):
-            found.append(_measured(motion, vehicle, axle, start_ns, rng))
+            found.append(measured(motion, vehicle.serials[axle], start_ns, rng, vehicle=vehicle.code, axle=axle + 1))
     return found
-
-
-def _measured(motion: WheelsetMotion, vehicle: _Vehicle, axle: int, start_ns: int, rng: np.random.Generator) -> Window:
-    values = measure(motion, NODE, rng, draw_offsets(NODE, rng)).values
-    return made_window(
-        *(values, vehicle.serials[axle], start_ns, STEP * NODE.stride),
-        vehicle=vehicle.code,
-        axle=axle + 1,
-        speed=motion.speed[:: NODE.stride],
-        distance=motion.distance[:: NODE.stride],
-    )
 
 
 def _with_flat(window: Window, rng: np.random.Generator) -> Window:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.report import BenchRow, RowBench
+from bench.report import BenchRow, row_bench
 from estimation.trend.trend import TrendParameters, fit_recent
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Estimate
@@ -125,4 +125,4 @@ def _reached(history: History, forecast: float | None) -> bool:
     return forecast is None or history.ahead <= forecast
 
 
-main = RowBench("trend", "Coverage of trend and forecast", __doc__ or "", lambda _options, _folder: rows()).run
+main = row_bench("trend", "Coverage of trend and forecast", __doc__, lambda _options, _folder: rows()).run

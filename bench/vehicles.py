@@ -6,16 +6,14 @@ the scheduled jobs (``fleet_case``).
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
-from bench.fleet_case import Conicities, by_row, published_of, scored, summary_line
-from bench.report import ResultTable, share_of
-from bench.study import Case, Key, Study, in_processes
+from bench.fleet_case import Conicities, by_row, cases_of, fleet_options, published_of, scored, summary_line
+from bench.report import Columns, ResultTable, yes_or_no
+from bench.study import Case, Study
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario_file import load_scenario
 
@@ -54,10 +52,6 @@ ROWS: Mapping[str, float | None] = {  # 95th percentile of the conicity error; N
     "wrong_nodes_swapped": None,
     "wrong_frame_sensor_missing": None,
 }
-HEADER = (
-    *("row", "seeds", "error: median / 95 %", "covers", "half width", "published", "mismatch", "reasons", "CPU s/h"),
-    *("reach", "met"),
-)
 MOST_REASONS = 2
 EXPLANATION = (
     "Mean absolute error of the equivalent conicity over 1-3 mm by wheelset; share of the 95 % intervals that cover;"
@@ -66,14 +60,9 @@ EXPLANATION = (
 )
 
 
-def run_case(row: str, seed: int, keep: Path | None) -> Case:
+def run_case(row: str, seed: int) -> Case:
     """Return the score of a row for one seed."""
-    return scored(with_seed(load_scenario(SCENARIOS / f"{row}.toml"), seed), keep)
-
-
-def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case | None]:
-    tasks = [(row, seed) for seed in options.seeds for row in options.rows if (row, seed) not in done]
-    yield from in_processes(partial(run_case, keep=options.keep), tasks)
+    return scored(with_seed(load_scenario(SCENARIOS / f"{row}.toml"), seed))
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,30 +96,15 @@ class Counted:
         return self.mismatch / self.wheelsets
 
 
-def summary_rows(cases: Sequence[Case]) -> list[tuple[str, ...]]:
-    """Return a line for each row that was run."""
-    return [_summary(name, of_row) for name, of_row in by_row(cases, ROWS).items()]
-
-
-def _summary(name: str, cases: Sequence[Case]) -> tuple[str, ...]:
+def _met(name: str, cases: Sequence[Case]) -> bool:
     figures, counted, limit = Conicities.of(cases), Counted.of(cases), ROWS[name]
-    cpu = sum(sum(case["cpu_s"]) for case in cases) / sum(case["wheelset_hours"] for case in cases)
-    met = counted.kept_back >= FOUND
-    if limit is not None:
-        met = figures.p95 <= limit and figures.covers() and counted.mismatch_share <= FALSE_ALARMS
-    return (
-        name,
-        str(len(cases)),
-        figures.error,
-        share_of(figures.covered, figures.published),
-        figures.width,
-        f"{counted.published} of {counted.wheelsets}",
-        f"{counted.mismatch} of {counted.wheelsets}",
-        _reasons(cases),
-        f"{cpu:.1f}",
-        "none" if limit is None else f"{limit:g}",
-        "yes" if met else "NO",
-    )
+    if limit is None:
+        return counted.kept_back >= FOUND
+    return figures.p95 <= limit and figures.covers() and counted.mismatch_share <= FALSE_ALARMS
+
+
+def _cpu(cases: Sequence[Case]) -> float:
+    return sum(sum(case["cpu_s"]) for case in cases) / sum(case["wheelset_hours"] for case in cases)
 
 
 def _reasons(cases: Sequence[Case]) -> str:
@@ -140,18 +114,34 @@ def _reasons(cases: Sequence[Case]) -> str:
     return ", ".join(f"{code} {count}" for code, count in codes.most_common(MOST_REASONS))
 
 
-def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--keep", type=Path, default=None, help="folder that keeps recordings (130 MB each)")
+COLUMNS: Columns = {
+    "row": lambda name, _: name,
+    "seeds": lambda _, cases: str(len(cases)),
+    "error: median / 95 %": lambda _, cases: Conicities.of(cases).error,
+    "covers": lambda _, cases: Conicities.of(cases).cover,
+    "half width": lambda _, cases: Conicities.of(cases).width,
+    "published": lambda _, cases: "{0.published} of {0.wheelsets}".format(Counted.of(cases)),
+    "mismatch": lambda _, cases: "{0.mismatch} of {0.wheelsets}".format(Counted.of(cases)),
+    "reasons": lambda _, cases: _reasons(cases),
+    "CPU s/h": lambda _, cases: f"{_cpu(cases):.1f}",
+    "reach": lambda name, _: "none" if ROWS[name] is None else f"{ROWS[name]:g}",
+    "met": lambda name, cases: yes_or_no(_met(name, cases)),
+}
+
+
+def table(cases: Sequence[Case]) -> ResultTable:
+    """Return a line for each row that was run."""
+    return ResultTable.of(COLUMNS, by_row(cases, ROWS).items(), range(1, 7))
 
 
 main = Study(
     name="vehicles",
     title="Vehicles as they run",
     about=__doc__ or "",
-    cases=_cases,
-    parts=lambda cases: [EXPLANATION, ResultTable(HEADER, summary_rows(cases), range(1, 7))],
+    cases=lambda options, done: cases_of(run_case, options, done, options.rows),
+    parts=lambda cases: [EXPLANATION, table(cases)],
     line=summary_line,
     published=published_of,
     rows=ROWS,
-    options=_options,
+    options=fleet_options,
 ).run

@@ -1,6 +1,8 @@
-"""The true motion of one wheelset of a scenario, whatever else moves with it."""
+"""The true motion of wheelsets of a scenario, with whatever else moves with them."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
 
 from estimation.contact.geometry import ContactTable
 from ingest.simulator.axle_motion import axle_motions, contact_of, together
@@ -25,3 +27,13 @@ def wheelset_motion(
         for place in axles
     ]
     return axle_motions(scenario, track, run, axles, tables)[axles.index(axle)]
+
+
+def gears_of(
+    scenario: Scenario, track: TrackTruth, run: VehicleRun, tables: Sequence[ContactTable]
+) -> Iterator[tuple[tuple[int, ...], tuple[WheelsetMotion, ...]]]:
+    """Yield the axles that move together and their motions, for each running gear of a vehicle over ``run``."""
+    axles = together(scenario, run.vehicle, 0)
+    for first in range(0, len(run.vehicle.wheelsets), len(axles)):
+        axles = together(scenario, run.vehicle, first)
+        yield axles, axle_motions(scenario, track, run, axles, [tables[axle] for axle in axles])

@@ -30,7 +30,7 @@ from api.workers.pool import ProcessPool
 from bench.chaos.final_state import final_state
 from bench.counting import asked, run
 from bench.measuring import KINDS, Kind, cpu_of, cpu_of_tree, every, here, memory_of_tree, windows_of
-from bench.report import BenchRow, RowBench
+from bench.report import BenchRow, row_bench
 from bench.services import running
 from bench.small_fleets import Workload, code_of, copy_of, put_copies, workload
 from estimation.jobs import estimate_windows, refresh_alignment, refresh_geometry
@@ -249,10 +249,10 @@ def _estimate_for(context: JobContext, seconds: float) -> None:
 
 
 BENCHES = (
-    RowBench(
+    row_bench(
         "workers",
         "Worker processes",
-        __doc__ or "",
+        __doc__,
         _workers,
         {
             "vehicles": (2, "of four wheelsets"),
@@ -261,10 +261,10 @@ BENCHES = (
             "database": ("postgresql", "or sqlite"),
         },
     ),
-    RowBench(
+    row_bench(
         "sustained",
         "Chunks to bin tables, without a pause",
-        __doc__ or "",
+        __doc__,
         _sustained,
         {"minutes": (5.0, "how long chunks come"), "journey": (10.0, "minutes of a chunk")},
     ),

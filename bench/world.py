@@ -17,9 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.fleet_case import Conicities, by_row, published_of, scored, summary_line
-from bench.report import Part, ResultTable, say, share_of
-from bench.study import Case, Key, Study, in_processes
+from bench.fleet_case import Conicities, by_row, cases_of, fleet_options, published_of, scored, summary_line
+from bench.report import Columns, ResultTable, say, yes_or_no
+from bench.scores import AMPLITUDES
+from bench.study import Case, Key, Study
 from bench.wheelset_motion import wheelset_motion
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.contact.geometry import ContactTable, WheelsetOnTrack, contact_table, radius_difference_curve
@@ -36,7 +37,6 @@ from ingest.simulator.track import TrackTruth
 MEASURED_ROWS = ("measured_known", "measured_unknown")
 PARTNERS = 3  # other wheels with which each one runs
 DISPLACEMENT = np.arange(-240, 241) * 0.05e-3  # m
-AMPLITUDES = tuple(float(a) for a in np.arange(4, 13) * 0.25e-3)  # m: 1 to 3 mm, as the rows are judged
 FURTHEST_ZERO = 3e-3  # m from the track centre, where both wheels roll on the same radius
 STEEPEST = math.radians(30.0)  # contact angle on the tread and its root; beyond is flange contact
 MOST_FLANGING = 0.01  # of a journey
@@ -212,20 +212,15 @@ ROWS: Mapping[str, Reach] = {
     "measured_known": Reach(0.01, (SURVEY_RIGHT,)),
     "measured_unknown": Reach(0.02),
 }
-HEADER = (
-    *("row", "seeds", "nothing published", "survey right", "error: median / 95 %", "covers", "half width"),
-    *("diversity", "reach", "met"),
-)
 WIDTH_TITLE = "Intervals of the conicity against the diversity of the fleet, rows on unknown track"
-WIDTH_HEADER = ("diversity", "fleets", "nothing published", "covers", "half width: median", "error: median")
 DIVERSITIES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, math.inf)  # limits of the lines
 UNKNOWN = "unknown"  # how the names of the rows on unknown track begin
 
 
-def run_case(row: str, seed: int, keep: Path | None, wheels: tuple[WheelPair, ...] = ()) -> Case:
+def run_case(row: str, seed: int, wheels: tuple[WheelPair, ...] = ()) -> Case:
     """Return the score of a row for one seed; with measured wheels also which of them cannot run in it."""
     scenario, left_out = scenario_of(row, seed, wheels)
-    return scored(scenario, keep) | {"left_out": left_out}
+    return scored(scenario) | {"left_out": left_out}
 
 
 def scenario_of(row: str, seed: int, wheels: tuple[WheelPair, ...] = ()) -> tuple[Scenario, tuple[str, ...]]:
@@ -238,9 +233,7 @@ def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case 
     rows = [row for row in options.rows if row not in MEASURED_ROWS or options.measured is not None]
     if options.measured is None and not rows:
         raise SystemExit(f"{', '.join(MEASURED_ROWS)} need --measured")
-    tasks = [(row, seed) for seed in options.seeds for row in rows if (row, seed) not in done]
-    work = partial(run_case, keep=options.keep, wheels=_measured_wheels(options.measured))
-    for case in in_processes(work, tasks, options.workers):
+    for case in cases_of(partial(run_case, wheels=_measured_wheels(options.measured)), options, done, rows):
         for line in () if case is None else case["left_out"]:
             say(f"  left out: {line}")
         yield case
@@ -257,36 +250,53 @@ def _measured_wheels(folder: Path | None) -> tuple[WheelPair, ...]:
     return found.pairs
 
 
-def summary_rows(cases: Sequence[Case]) -> list[tuple[str, ...]]:
-    """Return a line for each row that was run."""
-    return [_summary(name, of_row) for name, of_row in by_row(cases, ROWS).items()]
+def _right(name: str, cases: Sequence[Case]) -> int:
+    return sum(case["survey"] in ROWS[name].survey for case in cases)
 
 
-def _summary(name: str, cases: Sequence[Case]) -> tuple[str, ...]:
+def _met(name: str, cases: Sequence[Case]) -> bool:
     reach, figures = ROWS[name], Conicities.of(cases)
-    right = sum(case["survey"] in reach.survey for case in cases)
     covers = figures.covers(1.0) if reach.covers_above else figures.covers()
-    met = (
-        (not reach.survey or right == len(cases))
+    return (
+        (not reach.survey or _right(name, cases) == len(cases))
         and (reach.p95 is None or figures.p95 <= reach.p95)
         and (covers if figures.published else reach.covers_above)
     )
-    return (
-        name,
-        str(len(cases)),
-        _without_intervals(cases),
-        f"{right} of {len(cases)}" if reach.survey else "",
-        figures.error,
-        share_of(figures.covered, figures.published),
-        figures.width,
-        f"{np.median([case['diversity'] for case in cases]):.2f}",
-        "" if reach.p95 is None else f"{reach.p95:g}",
-        "yes" if met else "NO",
-    )
 
 
-def width_rows(cases: Sequence[Case]) -> list[tuple[str, ...]]:
-    """Return a line for each range of diversity with fleets on unknown track; the unsolved last."""
+def _without_intervals(cases: Sequence[Case]) -> str:
+    """Return how many fleets have no published conicity."""
+    return str(sum(Conicities.of([case]).published == 0 for case in cases))
+
+
+COLUMNS: Columns = {
+    "row": lambda name, _: name,
+    "seeds": lambda _, cases: str(len(cases)),
+    "nothing published": lambda _, cases: _without_intervals(cases),
+    "survey right": lambda name, cases: f"{_right(name, cases)} of {len(cases)}" if ROWS[name].survey else "",
+    "error: median / 95 %": lambda _, cases: Conicities.of(cases).error,
+    "covers": lambda _, cases: Conicities.of(cases).cover,
+    "half width": lambda _, cases: Conicities.of(cases).width,
+    "diversity": lambda _, cases: f"{np.median([case['diversity'] for case in cases]):.2f}",
+    "reach": lambda name, _: "" if ROWS[name].p95 is None else f"{ROWS[name].p95:g}",
+    "met": lambda name, cases: yes_or_no(_met(name, cases)),
+}
+WIDTH_COLUMNS: Columns = {
+    "diversity": lambda name, _: name,
+    "fleets": COLUMNS["seeds"],
+    "nothing published": COLUMNS["nothing published"],
+    "covers": COLUMNS["covers"],
+    "half width: median": COLUMNS["half width"],
+    "error: median": lambda _, cases: _median(Conicities.of(cases).errors),
+}
+
+
+def _median(errors: Sequence[float]) -> str:
+    return f"{np.median(errors):.4f}" if errors else ""
+
+
+def _by_diversity(cases: Sequence[Case]) -> list[tuple[str, list[Case]]]:
+    """Return the fleets on unknown track by range of diversity; the unsolved last."""
     unknown = [case for case in cases if case["row"].startswith(UNKNOWN)]
     lines = [
         (
@@ -296,33 +306,20 @@ def width_rows(cases: Sequence[Case]) -> list[tuple[str, ...]]:
         for low, high in pairwise(DIVERSITIES)
     ]
     lines.append(("none", [case for case in unknown if not case["diversity"] > 0.0]))
-    return [_width_row(name, within) for name, within in lines if within]
+    return [(name, within) for name, within in lines if within]
 
 
-def _width_row(name: str, cases: Sequence[Case]) -> tuple[str, ...]:
-    figures = Conicities.of(cases)
-    error = f"{np.median(figures.errors):.4f}" if figures.errors else ""
-    share = share_of(figures.covered, figures.published)
-    return name, str(len(cases)), _without_intervals(cases), share, figures.width, error
-
-
-def _without_intervals(cases: Sequence[Case]) -> str:
-    """Return how many fleets have no published conicity."""
-    return str(sum(Conicities.of([case]).published == 0 for case in cases))
-
-
-def tables(cases: Sequence[Case]) -> list[Part]:
+def tables(cases: Sequence[Case]) -> list[ResultTable]:
     """Return the tables; that of the intervals where there are fleets on unknown track."""
-    found: list[Part] = [ResultTable(HEADER, summary_rows(cases), range(1, len(HEADER) - 2))]
-    widths = width_rows(cases)
+    found = [ResultTable.of(COLUMNS, by_row(cases, ROWS).items(), range(1, len(COLUMNS) - 2))]
+    widths = _by_diversity(cases)
     if widths:
-        found.append(ResultTable(WIDTH_HEADER, widths, range(1, len(WIDTH_HEADER)), WIDTH_TITLE))
+        found.append(ResultTable.of(WIDTH_COLUMNS, widths, range(1, len(WIDTH_COLUMNS)), WIDTH_TITLE))
     return found
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--keep", type=Path, default=None, help="folder that keeps recordings")
+    fleet_options(parser)
     parser.add_argument("--measured", type=Path, default=None, help="folder of measured wheels, for two rows more")
 
 

@@ -19,13 +19,13 @@ from pathlib import Path
 import httpx
 
 from api.factory import open_store
-from bench.api import new_key
 from bench.chaos.live import PATIENCE_S, LiveRound, stored_frames, transmitting
 from bench.chaos.run import ChaosSettings
 from bench.chaos.small_deployment import WINDOW_S, Databases, databases, faults
 from bench.measuring import resident_of
 from bench.report import BenchRow
-from bench.services import answers, free_port, running, until
+from bench.served import new_key
+from bench.services import START_S, answers, free_port, running, until
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
 from fleet_db.records import ChunkState
 from fleet_db.storage import SqlStorage
@@ -46,7 +46,6 @@ CLIENTS = 8
 CHUNK_S = 60.0
 TAKEN = 0.8
 """Share of the backlog at which the limit is."""
-START_S = 120.0
 EACH_S = 5.0
 """A chunk takes so long to decode at most, on a machine that does other things too, s."""
 OCTETS = {"Content-Type": "application/octet-stream"}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import resource
 import socket
-import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,12 +15,11 @@ from urllib.request import urlopen
 from api.settings import Settings
 from bench.chaos.run import ChaosSettings
 from bench.report import BenchRow
-from bench.services import environment_of, started_program
+from bench.services import START_S, answers, environment_of, free_port, started_program, until
 from fleet_db.migrate import upgrade
 
 TIMEOUT_S = 2.0
 """Of headers and of bodies in this run; the product's own are longer."""
-START_S = 120.0
 FEW_FILES = 256
 MANY = 1000
 """Connections from which on a server with the usual number of files is tried, too."""
@@ -120,24 +118,15 @@ def _labels(server: _Server) -> BenchRow:
 
 @contextmanager
 def _serving(folder: Path, descriptors: int | None) -> Iterator[_Server]:
-    url = f"sqlite:///{(folder / 'treadwatch.sqlite').resolve()}"
+    url, port = f"sqlite:///{(folder / 'treadwatch.sqlite').resolve()}", free_port()
     upgrade(url)
-    settings = Settings.model_validate(
-        {"data_dir": folder, "database_url": url, "port": 0, "header_timeout_s": TIMEOUT_S, "body_timeout_s": TIMEOUT_S}
-    )
+    timeouts = {"header_timeout_s": TIMEOUT_S, "body_timeout_s": TIMEOUT_S}
+    settings = Settings.model_validate({"data_dir": folder, "database_url": url, "port": port, **timeouts})
     log = folder / "log"
     process = started_program(["-c", SERVE.format(descriptors)], environment_of(settings), log)
     try:
-        yield _Server(("127.0.0.1", _port(process, log)), log)
+        assert until(lambda: answers(f"http://127.0.0.1:{port}/readyz"), START_S) is not None, log.read_text()
+        yield _Server(("127.0.0.1", port), log)
     finally:
         process.terminate()
         process.wait(60)
-
-
-def _port(process: subprocess.Popen[bytes], log: Path) -> int:
-    until = time.monotonic() + START_S
-    while (found := re.search(r"running on http://127\.0\.0\.1:(\d+)", log.read_text())) is None:
-        if process.poll() is not None or time.monotonic() > until:
-            raise RuntimeError(log.read_text())
-        time.sleep(0.05)
-    return int(found[1])

@@ -131,7 +131,6 @@ def _busy(batch: FrameBatch, busy: int) -> FrameBatch:
 
 
 KINDS = ("sqlite", "postgresql")
-OUTAGES_S = (1.0, 4.0, 15.0, 60.0, 300.0)
 FULL_S = 12.0
 FULL_BYTES = 20
 """On a full disk no file gets longer than this."""
@@ -144,9 +143,9 @@ SHORT = 4
 
 
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
-    """Yield what kills and outages cost a live receiver.
+    """Yield what kills and full disks cost a live receiver.
 
-    ``size`` is the number of kills; more than a few come with outages of up to 5 min and full disks.
+    ``size`` is the number of kills; a few come while the database is away. Outages are a matter of ``behind``.
     """
     draw = random.Random(settings.seed)  # noqa: S311 - no secret
     with databases(settings.folder) as both:
@@ -155,8 +154,6 @@ def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
             return
         for kind in KINDS:
             yield _kills(both, kind, settings, draw)
-        for seconds in OUTAGES_S:
-            yield _outage(both, settings, seconds)
         for kind in KINDS:
             yield _full_disk(both, kind, settings)
 
@@ -191,16 +188,6 @@ def _kills(both: Databases, kind: str, settings: ChaosSettings, draw: random.Ran
             one.kill()
         time.sleep(1.5)
     return _row(f"{kind}: {kills} kills of the receiver", both, one)
-
-
-def _outage(both: Databases, settings: ChaosSettings, seconds: float) -> BenchRow:
-    with _listening(both, "postgresql", settings, f"outage-{seconds:g}") as one:
-        time.sleep(2.0)
-        both.server.stop()
-        time.sleep(seconds)
-        both.server.start()
-        time.sleep(2.0)
-    return _row(f"postgresql: away {seconds:g} s", both, one)
 
 
 def _full_disk(both: Databases, kind: str, settings: ChaosSettings) -> BenchRow:

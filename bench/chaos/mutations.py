@@ -96,21 +96,21 @@ def _cut(content: bytearray, rng: np.random.Generator) -> bytearray:
     return content[: int(rng.integers(1, len(content)))]
 
 
-def _insert(content: bytearray, rng: np.random.Generator) -> bytearray:
-    span = _span(content, rng)
-    content[span.start : span.start] = rng.bytes(span.stop - span.start)
-    return content
+def _at_a_span(changed: Callable[[bytes, int, np.random.Generator], bytes]) -> Change:
+    """Return what puts other bytes in place of those of a drawn span; it may end behind the file."""
+
+    def change(content: bytearray, rng: np.random.Generator) -> bytearray:
+        span = _span(content, rng)
+        content[span] = changed(bytes(content[span]), span.stop - span.start, rng)
+        return content or bytearray(b"\0")
+
+    return change
 
 
-def _duplicate(content: bytearray, rng: np.random.Generator) -> bytearray:
-    span = _span(content, rng)
-    content[span.start : span.start] = content[span]
-    return content
-
-
-def _delete(content: bytearray, rng: np.random.Generator) -> bytearray:
-    del content[_span(content, rng)]
-    return content or bytearray(b"\0")
+_insert = _at_a_span(lambda part, size, rng: rng.bytes(size) + part)
+_duplicate = _at_a_span(lambda part, _, __: part + part)
+_delete = _at_a_span(lambda *_: b"")
+_zero = _at_a_span(lambda part, _, __: bytes(len(part)))
 
 
 def _swap(content: bytearray, rng: np.random.Generator) -> bytearray:
@@ -118,12 +118,6 @@ def _swap(content: bytearray, rng: np.random.Generator) -> bytearray:
     block = content[first]
     content[first] = content[second : second + len(block)]
     content[second : second + len(block)] = block
-    return content
-
-
-def _zero(content: bytearray, rng: np.random.Generator) -> bytearray:
-    span = _span(content, rng)
-    content[span] = bytes(len(content[span]))
     return content
 
 

@@ -45,7 +45,7 @@ def _case(settings: ChaosSettings, *, surveyed: bool) -> _Case:
     folder.mkdir()
     offset = 3.0 if surveyed else 20.0
     scenario = small_fleet(
-        folder, "O", WORN, AXLES, 1.55, campaigns=3, surveyed=surveyed, km_between=20_000.0, position_m=offset,
+        "O", WORN, AXLES, 1.55, campaigns=3, surveyed=surveyed, km_between=20_000.0, position_m=offset,
         within_m=150.0, seed=5,
     )  # fmt: skip
     recorded = record(scenario, folder / "recordings", workers=1)

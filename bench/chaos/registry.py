@@ -17,7 +17,7 @@ from bench.chaos.run import ChaosSettings
 from bench.counting import run
 from bench.put_values import put_mountings
 from bench.report import BenchRow
-from bench.small_fleets import Workload, deployed, small_fleet
+from bench.small_fleets import Workload, deployed, kept_for_ever, small_fleet
 from estimation.jobs.job import JobContext
 from estimation.values.registry import Mounting, Reprofiling
 from estimation.values.units import HOUR_NS
@@ -167,9 +167,6 @@ RESTORED = (forgotten, no_section)
 
 WINDOW_S = 30.0
 WORN = {"1": ((0.1, 1.2), (2.4, 0.0))}  # mm, and by 100,000 km
-KEPT = '[days]\nwindow_samples = "for ever"\nwindow_bin_tables = "for ever"\n'
-"""The recordings are older than what is kept by default."""
-
 TRACK = ("alignments in force", "suspension", "fleet alerts")
 """Not compared: what carries numbers of versions, or groups alerts by the times at which they opened."""
 
@@ -249,11 +246,11 @@ def _corrected(found: Deployment, number: int, rng: np.random.Generator, expecte
 def _rounds(settings: ChaosSettings, numbers: Sequence[int], server: str | None) -> Iterator[Corrected]:
     """Make mistakes one after another; one that leaves something wrong is followed by another deployment."""
     home = settings.folder / ("sqlite" if server is None else "postgresql") / "round"
-    scenario = small_fleet(settings.folder, "C", WORN, (2.0, 4.5), 1.5, km_between=30_000.0, seed=23)
-    retention = settings.folder / "retention.toml"
-    retention.write_text(KEPT, encoding="utf-8")
+    scenario = small_fleet("C", WORN, (2.0, 4.5), 1.5, km_between=30_000.0, seed=23)
     load = deployed(settings.folder, scenario, server, workers=1)
-    chosen = load.received.model_copy(update={"window_length_s": WINDOW_S, "retention_file": retention})
+    chosen = load.received.model_copy(
+        update={"window_length_s": WINDOW_S, "retention_file": kept_for_ever(settings.folder)}
+    )
     never = Workload(chosen, load.recordings, server)
     registry = prepare(scenario, settings.folder / "registry")
     with _deployment(never.received, registry) as reference:

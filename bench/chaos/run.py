@@ -45,7 +45,7 @@ PARTS = (
     ChaosPart("ingests", "two to eight ingests of one vehicle at once, on both databases", 100, 2),
     ChaosPart("outages", "the database away for 1 s to 5 min, disks that are full", 8, 1),
     ChaosPart("clock", "the clock of the server 400 days ahead or an hour behind for a while", 4, 1),
-    ChaosPart("live", "a live receiver is killed, its database away for up to 5 min, its disk full", 100, 1),
+    ChaosPart("live", "a live receiver is killed, also without its database, its disk is full", 100, 1),
     ChaosPart("connections", "clients that open connections and do not use them", 1000, 300),
     ChaosPart("mutations", "log files are damaged, so many of each format, and read", 100_000, 40),
     ChaosPart("workers", "many workers are killed, stopped, cut off from the database", 60, 3),

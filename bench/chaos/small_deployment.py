@@ -134,14 +134,16 @@ def state(storage: SqlStorage) -> dict[str, str]:
     return {name: found[name] for name in OF_RECEIVED}
 
 
+def damaged(settings: Settings, storage: SqlStorage) -> list[str]:
+    """Return what a deep check finds that is not harmless."""
+    found = check_deep(storage, raw_store(settings), lambda _done, _total: None).findings
+    return [str(one) for one in found if not one.harmless]
+
+
 def faults(settings: Settings, storage: SqlStorage) -> list[str]:
     """Return what is wrong with a deployment in itself: torn files, rows without theirs, raw orphans, open runs."""
     raw = raw_store(settings)
-    wrong = [
-        str(finding)
-        for finding in check_deep(storage, raw, lambda _done, _total: None).findings
-        if not finding.harmless
-    ]
+    wrong = damaged(settings, storage)
     wrong += [f"orphaned: {one.place}" for one in orphaned_recordings(storage, raw, 0.0) if one.digest]
     with storage.read() as unit:
         windows = [(w.wheelset, w.start_ns) for axle in (1, 2) for w in unit.windows.list(f"WS-{axle}")]

@@ -21,7 +21,8 @@ from sqlalchemy import select
 
 from api.settings import Settings
 from bench.measuring import tree
-from bench.services import DaskCluster, dask_cluster, started, until
+from bench.services import START_S, DaskCluster, dask_cluster, started, until
+from bench.small_fleets import kept_for_ever
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.tables.operation import WorkClaimRow, WorkLeaseRow
@@ -157,11 +158,8 @@ def _ports_of(pid: int) -> set[int]:
 PROCESSES, DASK_WORKERS = 4, 2
 LEASE_S = 2.0
 EVERY_S = 2.0
-START_S = 120.0
 AT_WORK_S = 40.0
 QUICK = {"lease_s": LEASE_S, "jobs_every_s": EVERY_S, "database_silence_s": 1.0, "database_connect_timeout_s": 2}
-KEPT = '[days]\nwindow_samples = "for ever"\nwindow_bin_tables = "for ever"\n'
-"""The recordings are older than what is kept by default, and a purge would leave nothing to compare."""
 CLAIMS, LEASES = table_of(WorkClaimRow), table_of(WorkLeaseRow)
 
 
@@ -230,9 +228,7 @@ def services(storage: SqlStorage, settings: Settings, folder: Path, *, dask: boo
 
     The database of a server is reached through a link. With ``dask`` its workers work, not those of the scheduler.
     """
-    kept = folder / "retention.toml"
-    kept.write_text(KEPT, encoding="utf-8")
-    chosen = settings.model_copy(update={**QUICK, "retention_file": kept})
+    chosen = settings.model_copy(update={**QUICK, "retention_file": kept_for_ever(folder)})
     with ExitStack() as stack:
         link = None
         if settings.on_server:

@@ -16,15 +16,14 @@ from pathlib import Path
 from sqlalchemy import text
 
 from api.comparison.trial import Recorded, opened, receive
-from api.factory import open_store, raw_store
+from api.factory import open_store
 from api.pipeline import job_context
 from bench.chaos.final_state import come_to_rest, compared_state
 from bench.chaos.run import ChaosSettings
-from bench.chaos.small_deployment import PASSWORD
+from bench.chaos.small_deployment import PASSWORD, damaged
 from bench.chaos.worker_services import DASK_WORKERS, LEASE_S, PROCESSES, Cut, Services, services
 from bench.report import BenchRow
 from bench.small_fleets import FOUR_AXLES, Workload, cars, deployed, small_fleet
-from fleet_db.keeping.checks import check_deep
 from fleet_db.storage import SqlStorage
 from tests.postgres_server import SAFE, stoppable_server
 
@@ -63,7 +62,7 @@ def worker_fleet(folder: Path, vehicles: int, campaigns: int, server: str | None
     The server is PostgreSQL's; None for SQLite.
     """
     scenario = small_fleet(
-        folder, "W", cars(vehicles, wear=0.8), FOUR_AXLES, 2.0, campaigns=campaigns, surveyed=False, seed=11,
+        "W", cars(vehicles, wear=0.8), FOUR_AXLES, 2.0, campaigns=campaigns, surveyed=False, seed=11,
         km_between=20_000.0, position_m=3.0,
     )  # fmt: skip
     load = deployed(folder, scenario, server, PASSWORD, workers=1)
@@ -269,11 +268,7 @@ def _round(half: _Half, settings: ChaosSettings, rng: random.Random, tally: _Tal
         state = compared_state(storage)
         tally.states.add(tuple(sorted(state.items())))
         tally.wrong += [name for name in state if state[name] != undisturbed[name]]
-        tally.wrong += [
-            str(one)
-            for one in check_deep(storage, raw_store(deployed), lambda _done, _total: None).findings
-            if not one.harmless
-        ]
+        tally.wrong += damaged(deployed, storage)
         tally.twice += stored_twice(storage)
     shutil.rmtree(folder)
 

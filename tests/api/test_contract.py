@@ -189,7 +189,7 @@ def described_operations(service: Service) -> list[Any]:
 def test_the_service_answers_whatever_it_is_asked_as_the_document_says(
     described_operations: list[Any], part: int
 ) -> None:
-    """Ask every operation; the long form is ``python -m bench api --fuzz``."""
+    """Ask every operation; the long form is ``python -m bench fuzz``."""
     checks = [
         not_a_server_error,
         content_type_conformance,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.adhesion import FILES, FRICTION_COLUMNS, GROUPS, LEAST_HELD, ROWS, SCENARIOS, friction_rows, summary
+from bench.adhesion import FILES, GROUPS, LEAST_HELD, ROWS, SCENARIOS, friction_table, summary
 from bench.adhesion_case import StoredPasses
 from bench.adhesion_fleet import GOOD, Fleet, SensedWindow, TrueForces, class_of
 from bench.adhesion_rows import OF, ONE, QUIET, WRONG, WrongFile, as_on_file, first_vehicle, with_others
@@ -134,8 +134,7 @@ def test_the_page_prints_what_holds_in_the_worst_row() -> None:
     assert alarms.measured.startswith("0 in 10 vehicle-km: 0.0 per 1,000 km, with 95 % at most 299.6 (0 in 5991 km")
     (stretches,) = (row for what, row in rows.items() if what.startswith("stretches of friction"))
     assert "chosen on: 0 of 0; of those that reach below 0.12: 1 of 1" in stretches.measured
-    (printed,) = friction_rows([case | {"row": "yaw_large"}])
-    assert dict(zip(FRICTION_COLUMNS, printed, strict=True))["seeds with a vehicle left out"] == "1"
-    assert dict(zip(FRICTION_COLUMNS, printed, strict=True))["error of friction at 0.12 to 0.18, mean and std"] == (
-        "+0.020, 0.000"
-    )
+    table = friction_table([case | {"row": "yaw_large"}])
+    printed = dict(zip(table.header, table.rows[0], strict=True))
+    assert printed["seeds with a vehicle left out"] == "1"
+    assert printed["error of friction at 0.12 to 0.18, mean and std"] == "+0.020, 0.000"

@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.mark.slow
 def test_no_job_asks_the_database_more_often() -> None:
-    executed = job_statements(ROOT)
+    executed = job_statements()
     assert {name: executed[name] for name in MOST if executed[name] > MOST[name]} == {}
     most = figures(ROOT)["SQL statements from alignment to alerts, six windows of two wheelsets"]
     assert sum(executed[name] for name in CORE_JOBS) <= most

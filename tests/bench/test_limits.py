@@ -26,7 +26,7 @@ def test_a_steep_curve_holds_a_wheelset_in_the_middle() -> None:
 
 def test_a_wheelset_far_over_its_limit_is_found_where_it_moves_1_75_mm_and_a_good_one_is_left_alone() -> None:
     over = judged(HIGH)
-    assert (over.over, over.measure, over.former) == (True, False, False)
+    assert (over.over, over.measure) == (True, False)
     good = judged(replace(HIGH, conicity=np.full(len(AMPLITUDES), 0.08)))
     assert (good.over, good.measure) == (False, False)
     assert limit_at(HIGH.speed) == 0.534 - 160.0 / 900.0

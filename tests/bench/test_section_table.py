@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from bench.report import ResultTable
 from bench.section import KINDS, SHORT, summaries, tables
 
 CONICITIES, BINS = 96, 200
@@ -36,7 +35,6 @@ def case(row: str = "known", error: float = 0.004, **covered: int) -> dict[str, 
 
 def printed(cases: list[dict[str, Any]]) -> str:
     (table,) = tables(cases)
-    assert isinstance(table, ResultTable)
     return table.markdown()
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from bench.study import stored_cases
-from bench.vehicles import HEADER, ROWS, SCENARIOS, summary_rows
+from bench.vehicles import ROWS, SCENARIOS, table
 
 
 def case(row: str, statuses: list[str], *, covered: int = 0, error: float = 0.005, seed: int = 0) -> dict[str, Any]:
@@ -32,8 +32,11 @@ def case(row: str, statuses: list[str], *, covered: int = 0, error: float = 0.00
     return {"row": row, "seed": seed, "verdicts": verdicts, "wheelsets": wheelsets, **cost}
 
 
-def cells(header: tuple[str, ...], row: tuple[str, ...]) -> dict[str, str]:
-    return dict(zip(header, row, strict=True))
+def cells(*cases: dict[str, Any]) -> dict[str, str]:
+    """Return the one line of the table by column."""
+    shown = table(cases)
+    (row,) = shown.rows
+    return dict(zip(shown.header, row, strict=True))
 
 
 @pytest.mark.parametrize(
@@ -49,8 +52,7 @@ def cells(header: tuple[str, ...], row: tuple[str, ...]) -> dict[str, str]:
 def test_a_right_class_is_held_to_error_coverage_and_false_alarms(
     statuses: list[str], covered: int, error: float, met: str
 ) -> None:
-    (row,) = summary_rows([case("soft_known", statuses, covered=covered, error=error)])
-    assert cells(HEADER, row)["met"] == met
+    assert cells(case("soft_known", statuses, covered=covered, error=error))["met"] == met
 
 
 @pytest.mark.parametrize(
@@ -61,8 +63,7 @@ def test_a_right_class_is_held_to_error_coverage_and_false_alarms(
     ],
 )
 def test_of_a_wrong_class_nothing_may_be_published(statuses: list[str], met: str) -> None:
-    (row,) = summary_rows([case("wrong_nodes_swapped", statuses, covered=19)])
-    found = cells(HEADER, row)
+    found = cells(case("wrong_nodes_swapped", statuses, covered=19))
     assert found["met"] == met
     assert found["mismatch"] == "3 of 4"
     assert found["CPU s/h"] == "2.0"
@@ -73,8 +74,7 @@ def test_a_fleet_without_alignment_has_the_verdict_on_its_survey_as_reason() -> 
     waiting = case("coach_known", ["unestimated"] * 2) | {"survey": "survey_unit"}
     for verdict in waiting["verdicts"]:
         verdict["code"] = ""
-    (row,) = summary_rows([waiting])
-    assert cells(HEADER, row)["reasons"] == "survey_unit"
+    assert cells(waiting)["reasons"] == "survey_unit"
 
 
 def test_every_row_is_a_scenario_file() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bench.report import write_page
-from bench.world import HEADER, WIDTH_HEADER, summary_rows, tables, width_rows
+from bench.report import ResultTable, write_page
+from bench.world import tables
 
 
 def case(row: str, diversity: float, widths: list[float], *, covered: int, error: float = 0.01) -> dict[str, Any]:
@@ -17,8 +17,8 @@ def case(row: str, diversity: float, widths: list[float], *, covered: int, error
     return {"row": row, "survey": survey, "wheelsets": wheelsets, "diversity": diversity}
 
 
-def cells(header: tuple[str, ...], row: tuple[str, ...]) -> dict[str, str]:
-    return dict(zip(header, row, strict=True))
+def cells(table: ResultTable) -> list[dict[str, str]]:
+    return [dict(zip(table.header, row, strict=True)) for row in table.rows]
 
 
 def test_widths_are_printed_against_the_diversity_of_fleets_on_unknown_track() -> None:
@@ -30,7 +30,7 @@ def test_widths_are_printed_against_the_diversity_of_fleets_on_unknown_track() -
         case("unknown_long_gauge", 1.2, [0.01], covered=1),
         case("known_alike", 0.15, [9.0], covered=0),
     ]
-    rows = [cells(WIDTH_HEADER, row) for row in width_rows(cases)]
+    rows = cells(tables(cases)[1])
     assert [row["diversity"] for row in rows] == ["0 to 0.1", "0.1 to 0.2", "above 0.8", "none"]
     assert [row["fleets"] for row in rows] == ["1", "2", "1", "1"]
     assert [row["nothing published"] for row in rows] == ["1", "0", "0", "1"]
@@ -45,7 +45,7 @@ def test_a_row_counts_the_fleets_of_which_nothing_was_published(tmp_path: Path) 
         case("unknown_alike_02", 0.1, [0.2], covered=1),
         case("known_alike", 0.2, [0.02] * 20, covered=19, error=0.016),
     ]
-    known, unknown = (cells(HEADER, row) for row in summary_rows(cases))
+    known, unknown = cells(tables(cases)[0])
     assert (unknown["seeds"], unknown["nothing published"], unknown["met"]) == ("2", "1", "yes")
     assert (known["survey right"], known["covers"], known["met"]) == ("1 of 1", "95.0 % of 20", "NO")
     page = write_page("world", "World", "bench", tables(cases), tmp_path).read_text()

@@ -1,19 +1,16 @@
-"""Sources as text: imports without a cycle, functions that fit a screen, mutants in place."""
+"""Sources as text: functions that fit a screen, mutants in place."""
 
 from __future__ import annotations
 
 import tomllib
 from pathlib import Path
 
-from bench.house import complex_functions, figures, import_faults, static_counts
+from bench.house import complex_functions, figures, static_counts
 
 ROOT = Path(__file__).parents[2]
 
 
 def test_what_is_reached_stays_reached() -> None:
-    cycles, arrows = import_faults(ROOT)
-    assert arrows == ()
-    assert not [cycle for cycle in cycles if cycle.startswith("estimation")]
     assert list(complex_functions(ROOT)) == []
     counts, most = {count.what: int(count.now) for count in static_counts(ROOT)}, figures(ROOT)
     assert counts["modules loose at the top of estimation/"] <= 6
