@@ -12,7 +12,18 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 
 DEFAULT = ("contact", "estimation", "trend", "en15302")
 OF_A_FLEET = (
-    *("logs", "new_window", "stored", "pipeline", "section_runs", "workers", "chunks", "sustained", "fleet_sizes"),
+    *(
+        "logs",
+        "new_window",
+        "stored",
+        "pipeline",
+        "section_runs",
+        "workers",
+        "chunks",
+        "sustained",
+        "fleet_sizes",
+        "idle",
+    ),
 )
 NAMES = (
     *DEFAULT,
