@@ -35,6 +35,7 @@ from scipy import fft
 
 from estimation.compiled import compiled
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.memory import MEMORY
 
 PIECES = 4  # B-splines of third degree at a place
 LANES = 8  # partial sums of a long product
@@ -200,7 +201,6 @@ class FilterParameters:
 
 
 FILTERS = FilterParameters()
-LENGTHS = 8  # of segments, whose functions are kept: most windows are whole
 
 
 def subtract_smoothing_spline(
@@ -308,7 +308,7 @@ def remove_wander(
     return subtract_smoothing_spline(signals, distance, known, cutoff_wavelength, removed, in_place=in_place)
 
 
-@lru_cache(maxsize=LENGTHS)
+@lru_cache(maxsize=MEMORY.segment_lengths)
 def _line_and_parabola(n: int) -> FloatArray:
     """Return (2, n): in time, what the constants of the integration and a constant offset leave."""
     t = np.linspace(-1.0, 1.0, n)

@@ -165,12 +165,12 @@ def _least(misfits: FloatArray) -> FloatArray:
     """Return where misfits (s, g) are least, by a parabola through the least and its neighbours."""
     step, groups = SCALES[1] - SCALES[0], np.arange(misfits.shape[1])
     least = np.argmin(misfits, axis=0)
-    at = np.clip(least, 1, len(SCALES) - 2)
-    before, own, behind = misfits[at - 1, groups], misfits[at, groups], misfits[at + 1, groups]
-    bend = before - 2.0 * own + behind
-    inside = (at == least) & (bend > 0.0)
+    middle = np.clip(least, 1, len(SCALES) - 2)
+    before, here, behind = (misfits[middle + place, groups] for place in (-1, 0, 1))
+    bend = before - 2.0 * here + behind
+    inside = (middle == least) & (bend > 0.0)
     moved = 0.5 * (before - behind) / np.where(inside, bend, 1.0)
-    return np.asarray(np.where(inside, SCALES[at] + moved * step, SCALES[least]))
+    return np.asarray(np.where(inside, SCALES[middle] + moved * step, SCALES[least]))
 
 
 def contradicting(

@@ -58,7 +58,7 @@ class Mirrored:
     left: float  # standard deviations that the other sign leaves
 
 
-def newest_mirrored(parts: Parts, model: StepModel) -> Mirrored | None:
+def newest_mirrored(parts: Parts) -> Mirrored | None:
     """Return the newest change of sign since the last known event, by a whole history; None where there is none."""
     # From one interval to the next a curve differs by no more than its standard deviations where these are large,
     # although most of what they hold is common to all intervals of a wheelset. Over a history the noise is known: the
@@ -75,7 +75,7 @@ def newest_mirrored(parts: Parts, model: StepModel) -> Mirrored | None:
     found = newest_change(Series(x_km, parts.t_ns[whole], size, error), EVEN)
     if found is None:
         return None
-    beside = model.points_beside
+    beside = EVEN.points_beside
     sides = slice(max(0, found.last + 1 - beside), found.last + 1), slice(found.first, found.first + beside)
     before, after = (float(np.median(size[side])) for side in sides)
     odd_change, even_change = (_change(table, x_km, sides) for table in (odd, even))
@@ -261,8 +261,7 @@ def _reversed_in(seen: Sequence[Observation], p: IdentityParameters) -> Identity
             even[:, near],
             (whole - even)[:, near],
             np.array([one.std[near] for one in evens]),
-        ),
-        EVEN,
+        )
     )
     if found is None:
         return None

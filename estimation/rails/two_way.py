@@ -295,8 +295,5 @@ def _inverse(matrix: FloatArray) -> FloatArray:
 
 def _quadratic(rows: csr_array, covariance: FloatArray) -> FloatArray:
     """Return the variance (n,) of linear combinations, the rows (n, k), of what has a covariance (k, k)."""
-    found = np.empty(rows.shape[0])
-    for first in range(0, len(found), MEMORY.covariance_rows):
-        some = rows[first : first + MEMORY.covariance_rows]
-        found[first : first + MEMORY.covariance_rows] = some.multiply(some @ covariance).sum(axis=1)
-    return found
+    blocks = (rows[first : first + MEMORY.covariance_rows] for first in range(0, rows.shape[0], MEMORY.covariance_rows))
+    return np.concatenate([np.empty(0), *(block.multiply(block @ covariance).sum(axis=1) for block in blocks)])

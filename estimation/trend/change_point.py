@@ -69,6 +69,9 @@ class StepModel:
     least_change_ratio: float = 1.0  # of a median change over the least size, below which no hypothesis is computed
 
 
+CONICITY = StepModel()
+
+
 @dataclass(frozen=True, slots=True)
 class ChangePoint:
     """A step between two points; those between ``last`` and ``first`` may be of either side."""
@@ -95,9 +98,9 @@ class Series(NamedTuple):
         return Series(*(column[first:last] for column in self))
 
 
-def newest_change(series: Series, model: StepModel | None = None) -> ChangePoint | None:
+def newest_change(series: Series, model: StepModel = CONICITY) -> ChangePoint | None:
     """Return the newest step; None where there is none."""
-    model, begin, newest = model or StepModel(), 0, None
+    begin, newest = 0, None
     while True:  # the newest of the steps among the largest changes of a stretch, then of what is behind it
         stretch = series.part(begin, len(series.value))
         judged = (_judged(stretch, place, model) for place in sorted(_places(stretch, model), reverse=True))
@@ -215,9 +218,10 @@ class _Points:
         """Return the evidence of a step, or of none, with the outliers that suit it best."""
         number = np.arange(len(self.value))
         last, at = place or (len(number), len(number))
-        step = 0.5 * ((number > last) * 1.0 + (number >= at))
+        mixed = (number > last) & (number < at)
+        step = np.where(mixed, self.model.mixed_share, number >= at)
         covariance = self.covariance + self.model.step_std**2 * np.outer(step, step)
-        covariance += (self.model.mixed_share_std * self.model.step_std) ** 2 * np.diag(step == self.model.mixed_share)
+        covariance += (self.model.mixed_share_std * self.model.step_std) ** 2 * np.diag(mixed)
         out = self._begin(at)
         best = None
         for _ in range(self.model.most_flips):

@@ -21,7 +21,7 @@ from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.trend import SuspensionChange, SuspensionFinding
 from estimation.values.units import DAY_NS, MEDIAN_VARIANCE, STD_PER_MAD
 
-STEP = StepModel(
+RATIO = StepModel(
     slope=0.0,
     slope_std=0.0,
     bend_std=0.0,
@@ -153,7 +153,7 @@ def _change(code: str, series: _Series, sections: Mapping[str, _Section], p: Sus
     # friction that is left makes the levels wander
     at_ns = np.array([0.5 * (item.from_ns + item.to_ns) for item in series.findings])
     points = Series(np.zeros(len(level)), at_ns, level, np.sqrt(series.variance))
-    step = newest_change(points, replace(STEP, wander_std=float(np.sqrt(friction.mean()))))
+    step = newest_change(points, replace(RATIO, wander_std=float(np.sqrt(friction.mean()))))
     past, first = (series.past, series.past) if step is None else (step.last + 1, step.first)
     sides = (slice(0, past), slice(first, None))
     before, now = (float(weight[side] @ level[side] / weight[side].sum()) for side in sides)

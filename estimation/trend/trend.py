@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimation.trend.change_point import ChangePoint, Series, StepModel, newest_change
+from estimation.trend.change_point import CONICITY, ChangePoint, Series, newest_change
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, by_amplitude
 from estimation.trend.now import QUANTILES, probability_above
 from estimation.trend.parameters import CURVES
@@ -74,7 +74,6 @@ class TrendParameters:
     newest_points: int = 8  # intervals
     points_before: int = 24
     points_looked_back: int = 12  # intervals behind a step of which one showed it first
-    least_std: float = 1e-6  # a std below it is not credible
 
 
 def refresh(
@@ -227,19 +226,18 @@ def newest_step(records: Sequence[IntervalConicities], params: TrendParameters) 
     """Return the newest sudden change of the conicity of a wheelset; None where there is none."""
     # it is looked for at the largest amplitude up to 3 mm that intervals on both sides cover, never by extrapolation: a
     # profile that was turned moves further than before
-    model = StepModel()
     covered = sorted(((r, by_amplitude(r)) for r in records), key=lambda one: (one[0].mileage_km, one[0].from_ns))
-    amplitude = _amplitude([known for _, known in covered if known], 2 * model.least_points, params)
+    amplitude = _amplitude([known for _, known in covered if known], 2 * CONICITY.least_points, params)
     having = [(r, known) for r, known in covered if amplitude in known]
-    if len(having) < 2 * model.least_points:
+    if len(having) < 2 * CONICITY.least_points:
         return None
     series = Series(
         np.array([r.mileage_km for r, _ in having], dtype=np.float64),
         np.array([0.5 * (r.from_ns + r.to_ns) for r, _ in having], dtype=np.float64),
         np.array([known[amplitude].value for _, known in having], dtype=np.float64),
-        np.maximum([known[amplitude].std for _, known in having], params.least_std),
+        np.maximum([known[amplitude].std for _, known in having], params.smallest_std),
     )
-    found = newest_change(series, model)
+    found = newest_change(series)
     if found is None:
         return None
     before, after = having[found.last][0], having[found.first][0]
@@ -248,7 +246,7 @@ def newest_step(records: Sequence[IntervalConicities], params: TrendParameters) 
         after_km=after.mileage_km,
         before_ns=min(before.to_ns, after.from_ns),
         after_ns=after.from_ns,
-        found_ns=having[_shown_by(series, found, model, params)][0].to_ns,
+        found_ns=having[_shown_by(series, found, params)][0].to_ns,
         size=with_interval(found.size, found.std, count=float(len(having) - found.first)),
         level_before=found.level,
         amplitude=amplitude * SAME_AMPLITUDE,
@@ -286,10 +284,10 @@ def with_step(trend: WearTrend, step: TrendStep) -> WearTrend:
     )
 
 
-def _shown_by(series: Series, found: ChangePoint, model: StepModel, params: TrendParameters) -> int:
+def _shown_by(series: Series, found: ChangePoint, params: TrendParameters) -> int:
     k = len(series.value)
-    for until in range(found.first + model.least_points, min(k, found.first + params.points_looked_back)):
-        earlier = newest_change(series.part(0, until), model)
+    for until in range(found.first + CONICITY.least_points, min(k, found.first + params.points_looked_back)):
+        earlier = newest_change(series.part(0, until))
         if earlier is not None and earlier.first > found.last:
             return until - 1
     return min(k, found.first + params.points_looked_back) - 1
