@@ -331,6 +331,11 @@ def _after_gaps(n: int, gaps: Sequence[tuple[int, int]]) -> FloatArray:
     return np.array([*steps, *lines])
 
 
+def between_known(places: FloatArray, at: FloatArray, known: BoolArray) -> BoolArray:
+    """Return which places (m,) are between points (n,) that are both known."""
+    return np.asarray(np.interp(places, at, known.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9)
+
+
 Precision = TypeVar("Precision", bound=np.floating[Any])
 
 

@@ -200,10 +200,11 @@ def examine(
 
 
 Item = TypeVar("Item")
-MOST = TRACK.most_pass_windows
 
 
-def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], most: int = MOST) -> list[list[Item]]:
+def following(
+    items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], most: int = TRACK.most_pass_windows
+) -> list[list[Item]]:
     """Return the items in groups that follow each other; ``keys`` are what they must share, start and end, ns."""
     groups: list[list[Item]] = []
     last: tuple[Hashable, int] | None = None

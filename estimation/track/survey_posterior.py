@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from estimation.filters import high_pass, local_cubic_kernel, valid_support
+from estimation.filters import between_known, high_pass, local_cubic_kernel, valid_support
 from estimation.track.gridded_pass import Placed, SectionGrid
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.basis import Panel, unfiltered_residual
@@ -124,9 +124,9 @@ def survey_on_grid(survey: TrackAlignment, grid: SectionGrid) -> tuple[FloatArra
     step = float(survey.s[1] - survey.s[0])
     width = 2 * (round(grid.step / step) // 2) + 1  # odd: nothing is moved
     d = uniform_filter1d(np.where(certain, survey.alignment, 0.0), width, mode="nearest")
-    known = np.interp(grid.s, survey.s, certain.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
+    known = between_known(grid.s, survey.s, certain)
     std = np.interp(grid.s, survey.s, np.where(certain, survey.alignment_std, 0.0))
-    return np.where(known, np.interp(grid.s, survey.s, d), 0.0), std, np.asarray(known)
+    return np.where(known, np.interp(grid.s, survey.s, d), 0.0), std, known
 
 
 @dataclass(frozen=True, slots=True)

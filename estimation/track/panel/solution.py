@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from estimation.filters import high_pass, local_cubic_kernel, valid_support
+from estimation.filters import between_known, high_pass, local_cubic_kernel, valid_support
 from estimation.track.gridded_pass import GriddedPass, SectionGrid
 from estimation.track.panel.basis import MeasuredCurve, Panel, PanelParameters, PanelState, groups_of
 from estimation.track.passes import ProfileLife
@@ -292,12 +292,12 @@ def prior_on_grid(evidence: TrackAlignment, grid: SectionGrid, cutoff_wavelength
     """Return the prior alignment on the panel's grid; one that has its cut-off already is not filtered again."""
     s = grid.s
     certain = np.isfinite(evidence.alignment) & np.isfinite(evidence.alignment_std)
-    inside = np.interp(s, evidence.s, certain.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
+    inside = between_known(s, evidence.s, certain)
     d = np.interp(s, evidence.s, np.where(certain, evidence.alignment, 0.0))
     std = np.interp(s, evidence.s, np.where(certain, evidence.alignment_std, 0.0))
     if evidence.cutoff_wavelength != cutoff_wavelength:
         weights = local_cubic_kernel(cutoff_wavelength, grid.step)
-        inside = valid_support(np.asarray(inside), weights)
+        inside = valid_support(inside, weights)
         d = high_pass(d, weights)
     passes = np.interp(s, evidence.s, evidence.passes.astype(np.float64))
     return PriorAlignment(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.compiled import compiled
-from estimation.filters import high_pass, local_cubic_kernel
+from estimation.filters import between_known, high_pass, local_cubic_kernel
 from estimation.track.passes import Pass, PositionParameters, gridded
 from estimation.values.arrays import FloatArray, runs
 from estimation.values.quantities import log10_chance
@@ -126,9 +126,8 @@ def alignment_segment(
     known = np.isfinite(track.alignment)
     if np.count_nonzero(known) < 2:  # noqa: PLR2004 - nothing to interpolate between
         return None
-    inside = np.interp(grid, track.s, known.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
-    found = runs(np.asarray(inside, dtype=np.bool_))
-    start, stop = found[np.argmax(found[:, 1] - found[:, 0])].tolist() if len(found) else (0, 0)
+    stretches = runs(between_known(np.asarray(grid, np.float64), track.s, known))
+    start, stop = stretches[np.argmax(stretches[:, 1] - stretches[:, 0])].tolist() if len(stretches) else (0, 0)
     d = np.interp(grid[start:stop], track.s[known], track.alignment[known])
     if track.band_limited:
         return FilteredPass(first + start, d[None, :], step) if len(d) else None
