@@ -103,8 +103,8 @@ class RuleBook:
     def with_rules(self, *rules: AlertRule) -> RuleBook:
         """Return a book with these rules in place of those of their types, or added to them."""
         given = {rule.kind: rule for rule in rules}
-        known = {rule.kind: rule for rule in self.rules}
-        return replace(self, rules=tuple((known | given).values()))
+        present = {rule.kind: rule for rule in self.rules}
+        return replace(self, rules=tuple((present | given).values()))
 
     def rule(self, rule_type: type[Rule]) -> Rule:
         """Return the rule of a type."""
@@ -164,8 +164,8 @@ def findings(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> list[Finding]
     facts = replace(facts, not_assessable_reason=_not_assessable_reason(facts, first))
     if any(rule.kind == IdentityRule.kind and finding is not None and finding.breached for rule, finding in first):
         facts = replace(facts, intervals=())  # of another wheelset in part, until the mounting is corrected on file
-    found = first + [(rule, rule.find(facts, now_ns)) for rule in book.rules if rule.of_wear]
-    return [finding for rule, finding in found if finding is not None and rule.enabled]
+    results = first + [(rule, rule.find(facts, now_ns)) for rule in book.rules if rule.of_wear]
+    return [finding for rule, finding in results if finding is not None and rule.enabled]
 
 
 def _not_assessable_reason(facts: WheelsetFacts, found: list[tuple[AlertRule, Finding | None]]) -> Reason | None:
