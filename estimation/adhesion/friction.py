@@ -35,9 +35,10 @@ from estimation.adhesion.pass_sums import (
 )
 from estimation.motion.parameters import MOTION
 from estimation.values.arrays import FloatArray
-from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
+from estimation.values.opinions import CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.sums import CELL_LENGTH, INVERSE
 from estimation.values.units import MEDIAN_SQUARE, NORMAL_95
 
 

@@ -38,8 +38,9 @@ from scipy.interpolate import CubicSpline
 from estimation.adhesion.creep_forces import FileErrors, FrictionParameters
 from estimation.adhesion.parameters import FORCES
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
-from estimation.values.opinions import INVERSE, LeftOut, WindowAdhesion
+from estimation.values.opinions import LeftOut, WindowAdhesion
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.sums import INVERSE
 from estimation.values.units import MEDIAN_ERROR, NORMAL_90, STD_PER_MAD
 
 

@@ -33,9 +33,10 @@ from estimation.motion.integration import WindowParameters
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array, runs
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.memory import MEMORY
-from estimation.values.opinions import CELL_LENGTH, INVERSE, FrictionSums, WindowAdhesion
+from estimation.values.opinions import FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.sums import CELL_LENGTH, INVERSE
 from estimation.values.track import Correction, TrackSectionRecord
 from estimation.values.windows import Motion, Window
 from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters

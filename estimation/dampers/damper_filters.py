@@ -28,7 +28,7 @@ from estimation.dampers.suspension_equations import (
 )
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.memory import MEMORY
-from estimation.values.opinions import SHARES
+from estimation.values.sums import SHARES
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, SensorLayout, VehicleClass
 
 

@@ -41,7 +41,6 @@ from estimation.values.opinions import (
     CREEP,
     FRICTION,
     GEAR_DAMPERS,
-    SUMS,
     GearDamper,
     SectionAdhesion,
     WindowAdhesion,
@@ -49,6 +48,7 @@ from estimation.values.opinions import (
     part_of_gear,
 )
 from estimation.values.runs import Facet, SubjectKind
+from estimation.values.sums import SUMS
 from estimation.values.windows import WindowKey, WindowMark, WindowState, key_of_text, text_of_key
 
 JOB_NAME = "refresh_adhesion"

@@ -32,7 +32,7 @@ from estimation.track.parameters import TRACK
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.registry import WheelsetRecord
-from estimation.values.units import LATEST_NS, SECOND_NS
+from estimation.values.units import HOUR_NS, LATEST_NS, SECOND_NS
 from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality, WindowRecord
 from estimation.vehicle.vehicle_class import VehicleParameters
 
@@ -299,7 +299,7 @@ class _Journey:
 
 def first_epoch(entries: Sequence[Entry], most_windows: int, most_wheelsets: int, p: PartitionParameters) -> Group:
     """Return the windows of the first epoch of entries by start and wheelset; one journey may be more than the most."""
-    pause_ns, journey_ns = round(p.pause_h * 3600 * SECOND_NS), round(p.journey_pause_s * SECOND_NS)
+    pause_ns, journey_ns = round(p.pause_h * HOUR_NS), round(p.journey_pause_s * SECOND_NS)
     chosen: list[_Journey] = []
     count, end_ns, horizon_ns = 0, 0, LATEST_NS
     lives: set[ProfileLife] = set()
