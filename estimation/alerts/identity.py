@@ -185,13 +185,13 @@ def identity_events(
         event = reversed_between(*jumps[serial], p) if serial in jumps else None
         if (event := event or _reversed_in(seen, p)) is not None:
             events[serial] = event
-    pairs = (swapped_between(jumps[one], jumps[other], p) for one, other in combinations(sorted(jumps), 2))
+    pairs = (swapped_between(jumps[first], jumps[second], p) for first, second in combinations(sorted(jumps), 2))
     swaps = [swap for swap in pairs if swap is not None]
     for swap in sorted(swaps, key=lambda pair: (max(pair[0].left, pair[1].left), pair[0].wheelset)):
-        known = [events.get(event.wheelset) for event in swap]
+        earlier = [events.get(event.wheelset) for event in swap]
         if all(
             old is None or (old.mistake is not Mistake.SWAPPED and event.left < old.left)
-            for event, old in zip(swap, known, strict=True)
+            for event, old in zip(swap, earlier, strict=True)
         ):
             events |= {event.wheelset: event for event in swap}
     return events

@@ -107,12 +107,12 @@ def with_known(cells: TwoWay, parameters: RailsParameters, without: Parted) -> P
 
 
 def _widened(cells: TwoWay, parameters: RailsParameters, solution: Parted) -> Parted:
-    known = np.isfinite(cells.known_value)
-    if not solution.converged or not known.any():
+    is_known = np.isfinite(cells.known_value)
+    if not solution.converged or not is_known.any():
         return solution
-    weight = solution.known_weight[known]
-    squares = float(np.sum(weight * (cells.known_value - solution.wheel)[known] ** 2))
-    freedom = float(np.sum(1.0 - weight * solution.wheel_variance[known]))
+    weight = solution.known_weight[is_known]
+    squares = float(np.sum(weight * (cells.known_value - solution.wheel)[is_known] ** 2))
+    freedom = float(np.sum(1.0 - weight * solution.wheel_variance[is_known]))
     factor = squares / freedom if freedom > parameters.least_freedom else 1.0
     if factor <= 1.0:
         return solution

@@ -110,7 +110,7 @@ def refresh(
     )
     lacking = _lacking(columns, params)
     if lacking is not None:
-        why = replace(lacking, text="; ".join(str(one) for one in (note, lacking) if one is not None))
+        why = replace(lacking, text="; ".join(str(reason) for reason in (note, lacking) if reason is not None))
         code = lacking.code if note is None or usable else note.code
         trend = _unestimated(columns, limit, quantity, replace(why, code=code))
     else:

@@ -221,7 +221,7 @@ def measure_finding(rule: MeasureRule, believed: Believed, decided: Finding, *, 
     """Return whether the profiles are to be measured."""
     state, limit, now = believed.state, believed.limit, believed.now
     at_limit, at_reached = state.at_limit(limit), state.at_reached(limit)
-    over = max((one.probability for one in (at_limit, at_reached) if one is not None), default=None)
+    over = max((against.probability for against in (at_limit, at_reached) if against is not None), default=None)
     needed = rule.extrapolated_probability if state.extrapolated else rule.raise_probability
     at_3_mm = 0.0 if at_limit is None else at_limit.probability
     reached = 0.0 if at_reached is None else at_reached.probability

@@ -183,8 +183,8 @@ def _prior(scale: float, panel: Panel) -> FloatArray:
 
 
 def _measured(state: PanelState) -> dict[int, MeasuredCurve]:
-    known = state.panel.measured
-    return {number: known[life] for number, life in enumerate(state.lives) if life in known}
+    measured = state.panel.measured
+    return {number: measured[life] for number, life in enumerate(state.lives) if life in measured}
 
 
 def _prior_of_measured(
@@ -197,13 +197,13 @@ def _prior_of_measured(
     for number, curve in _measured(state).items():
         displacement, reached = curve.at(p.knots)
         samples = (parameters.pass_std / curve.std) ** 2 * parameters.correlated_samples
-        own = samples * parameters.independent_parts / p.basis_count
-        weight = reached * (own if fixed_weight is None else fixed_weight)
+        by_std = samples * parameters.independent_parts / p.basis_count
+        weight = reached * (by_std if fixed_weight is None else fixed_weight)
         if not weight.any():
             continue
         block = np.diag(weight) - np.outer(weight, weight) / weight.sum()  # less its mean: the filter takes constants
-        at = slice(number * c, number * c + p.basis_count)
-        matrix[at, at], right[at] = block, block @ displacement
+        of_curve = slice(number * c, number * c + p.basis_count)
+        matrix[of_curve, of_curve], right[of_curve] = block, block @ displacement
     return matrix, right
 
 
@@ -263,9 +263,9 @@ def _too_little(state: PanelState, parameters: PanelParameters) -> Reason | None
         return too_few_passes(least, int(state.passes.max(initial=0)))
     if len(state.lives) < parameters.least_wheelsets:
         return SINGLE_WHEELSET
-    found = between_pass_std_ratio(state)
-    if found < parameters.least_diversity:
-        text = f"the passes are too alike: diversity {found:.2f}, {parameters.least_diversity} is needed"
+    diversity = between_pass_std_ratio(state)
+    if diversity < parameters.least_diversity:
+        text = f"the passes are too alike: diversity {diversity:.2f}, {parameters.least_diversity} is needed"
         return Reason(ReasonCode.PASSES_ALIKE, text)
     return None
 
