@@ -164,7 +164,7 @@ class Stage(Generic[I, V]):
     # gets the inputs and nothing else. A part that it does not return keeps its former result
     compute: Callable[[I], Outcome[V]]
     counted: Counted
-    numbers: tuple[object, ...] = ()  # parameters that no deployment sets: with others, subjects are computed again
+    numbers: tuple[object, ...] = ()  # parameters that no deployment sets: with others, all subjects are computed again
     results: ResultKind[V] | None = None  # how what it computes is stored; None where ``store`` does all
     # stores what is more than results, in the same transaction; returns what it counted
     store: Callable[[UnitOfWork, JobContext, Mapping[str, tuple[I, Outcome[V]]]], Mapping[str, int]] | None = None
