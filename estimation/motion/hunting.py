@@ -162,10 +162,10 @@ def line_may_hunt(power: FloatArray, frequency: FloatArray, scale: float) -> boo
     off = moment / of_line
     amplitude, share = np.sqrt(4.0 * of_line / scale) * (1.0 + DOUBT), of_line / total * (1.0 + DOUBT)
     width = np.sqrt(max(square / of_line - off**2, 0.0)) / (peak + off) - DOUBT
+    hunts = False
     for limits in (STEADY, FLANGE_TO_FLANGE):
-        if amplitude >= limits[0] and share >= limits[1] and width <= limits[2]:
-            return True
-    return False
+        hunts = hunts or (amplitude >= limits[0] and share >= limits[1] and width <= limits[2])
+    return hunts
 
 
 @cache
