@@ -35,6 +35,7 @@ from scipy import fft
 
 from estimation.compiled import compiled
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.memory import MEMORY
 
 PIECES = 4  # B-splines of third degree at a place
 LANES = 8  # partial sums of a long product
@@ -200,7 +201,6 @@ class FilterParameters:
 
 
 FILTERS = FilterParameters()
-LENGTHS = 8  # of segments, whose functions are kept: most windows are whole
 
 
 def subtract_smoothing_spline(
@@ -308,7 +308,7 @@ def remove_wander(
     return subtract_smoothing_spline(signals, distance, known, cutoff_wavelength, removed, in_place=in_place)
 
 
-@lru_cache(maxsize=LENGTHS)
+@lru_cache(maxsize=MEMORY.segment_lengths)
 def _line_and_parabola(n: int) -> FloatArray:
     """Return (2, n): in time, what the constants of the integration and a constant offset leave."""
     t = np.linspace(-1.0, 1.0, n)
@@ -329,6 +329,11 @@ def _after_gaps(n: int, gaps: Sequence[tuple[int, int]]) -> FloatArray:
     steps = [(t >= behind).astype(np.float64) for _, behind in gaps]
     lines = [np.maximum(t - 0.5 * (first - 1 + behind), 0.0) / n for first, behind in gaps]
     return np.array([*steps, *lines])
+
+
+def between_known(places: FloatArray, at: FloatArray, known: BoolArray) -> BoolArray:
+    """Return which places (m,) are between points (n,) that are both known."""
+    return np.asarray(np.interp(places, at, known.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9)
 
 
 Precision = TypeVar("Precision", bound=np.floating[Any])

@@ -78,7 +78,7 @@ def estimate_of_date(
 
 
 def _has_conicity(record: GeometryRecord) -> bool:
-    return any(one.status is Status.ESTIMATED for one in record.geometry.conicity)
+    return any(estimate.status is Status.ESTIMATED for estimate in record.geometry.conicity)
 
 
 def _same_side(record: GeometryRecord, at_ns: int, change: IdentityChange | None) -> bool:
@@ -198,8 +198,8 @@ class CoverageCount:
     @staticmethod
     def of(outcomes: Iterable[bool | None]) -> CoverageCount:
         """Return the count of outcomes of :func:`covers`; those that are None are not counted."""
-        known = [outcome for outcome in outcomes if outcome is not None]
-        return CoverageCount(len(known), sum(known))
+        decided = [outcome for outcome in outcomes if outcome is not None]
+        return CoverageCount(len(decided), sum(decided))
 
     @property
     def fraction(
@@ -279,10 +279,11 @@ def fleet_accuracy(rows: Sequence[PlacedComparison]) -> FleetAccuracy:
 
 
 def _count(rows: Iterable[PlacedComparison], index: int | None = None) -> CoveragePair:
-    found = [row.comparison for row in rows]
-    outcomes = [(one.at_limit if index is None else one.conicity[index]).covered for one in found]
-    alone = [outcome for one, outcome in zip(found, outcomes, strict=True) if one.independent]
-    return CoveragePair(CoverageCount.of(outcomes), CoverageCount.of(alone))
+    comparisons = [row.comparison for row in rows]
+    pairs = [item.at_limit if index is None else item.conicity[index] for item in comparisons]
+    alone = (pair for pair, comparison in zip(pairs, comparisons, strict=True) if comparison.independent)
+    of_all, of_alone = (CoverageCount.of(pair.covered for pair in some) for some in (pairs, alone))
+    return CoveragePair(of_all, of_alone)
 
 
 def _grouped(
@@ -311,15 +312,15 @@ def curve_origin(
     # zero on average. The place where it fits best is taken; a wheelset of unlike wheels runs nearer to the track
     # centre than its zero crossing is.
     centre, R = found.bin_centres, found.rolling_radius_difference
-    known = np.isfinite(R.value)
-    if not known.any():
+    estimated = np.isfinite(R.value)
+    if not estimated.any():
         return CurveOrigin(crossing, 0.0)
     best = (np.inf, crossing, 0.0)
     low, high = min(crossing, 0.0) - ACCURACY.search_reach, max(crossing, 0.0) + ACCURACY.search_reach
     for shift in np.linspace(low, high, round((high - low) / ACCURACY.search_step) + 1):
         curve = np.interp(centre + shift, displacement, difference)
         mean = float(found.samples @ curve / found.samples.sum())
-        deviation = (R.value - curve + mean)[known] / R.std[known]
+        deviation = (R.value - curve + mean)[estimated] / R.std[estimated]
         misfit = float(np.minimum(deviation**2, ACCURACY.most_bin_stds**2).sum())
         best = min(best, (misfit, float(shift), mean))
     return CurveOrigin(best[1], best[2])

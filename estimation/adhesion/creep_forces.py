@@ -65,16 +65,16 @@ def gear_segments(
 ) -> GearSegments | Reason:
     """Return the segments of windows (n,) of one time, of a wheelset or of both of a bogie, or why there are none."""
     axles = 1 if vehicle_class.bogie is None else AXLES_OF_A_BOGIE
-    if len(windows) != axles or len({(one.start_ns, len(one.valid)) for one in windows}) != 1:
+    if len(windows) != axles or len({(window.start_ns, len(window.valid)) for window in windows}) != 1:
         raise ValueError(f"{len(windows)} windows for a running gear of {axles} wheelsets, or not of one time")
     usable = np.logical_and.reduce([moving_samples(window, signals) for window in windows])
     if not usable.any():
         return Reason(ReasonCode.NO_USABLE_SAMPLE, "no sample of the running gear can be used")
-    found = [integrate(window, usable, signals).segments for window in windows]
-    if not found[0]:
+    integrated = [integrate(window, usable, signals).segments for window in windows]
+    if not integrated[0]:
         return Reason(ReasonCode.INTERRUPTED, f"no uninterrupted run of {signals.shortest_segment_s:g} s")
     segments = []
-    for parts in zip(*found, strict=True):
+    for parts in zip(*integrated, strict=True):
         rolls = tuple(
             remove_wander(p.displacements[[ROLL]], p.run, p.known, MOTION.longest_roll_wave)[0] for p in parts
         )

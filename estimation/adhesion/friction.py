@@ -35,9 +35,10 @@ from estimation.adhesion.pass_sums import (
 )
 from estimation.motion.parameters import MOTION
 from estimation.values.arrays import FloatArray
-from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
+from estimation.values.opinions import CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.sums import CELL_LENGTH, INVERSE
 from estimation.values.units import MEDIAN_SQUARE, NORMAL_95
 
 
@@ -70,17 +71,17 @@ def section_adhesion(
     track_section: str, passes: Sequence[WindowAdhesion], parameters: FrictionParameters, length: float = math.inf
 ) -> SectionAdhesion | None:
     """Return the friction on the ``length`` (m) of a section and where it is low; None where no pass says anything."""
-    known = [window_pass for window_pass in passes if window_pass.sums is not None and len(window_pass.sums.cells)]
-    found, left_out = pooled_friction(known, parameters)
-    cells = tuple(cell for cell in found if 0.0 <= cell.from_m < length)
+    telling = [window_pass for window_pass in passes if window_pass.sums is not None and len(window_pass.sums.cells)]
+    pooled, left_out = pooled_friction(telling, parameters)
+    cells = tuple(cell for cell in pooled if 0.0 <= cell.from_m < length)
     if not cells:
         return None
-    starts = [one.start_ns for one in known]
+    starts = [window_pass.start_ns for window_pass in telling]
     return SectionAdhesion(
         track_section,
         min(starts),
         max(starts),
-        len(_staying(known, left_out)),
+        len(_staying(telling, left_out)),
         cells,
         low_stretches(cells, parameters),
         left_out,
@@ -94,38 +95,39 @@ def pooled_friction(
     """Return the friction of every place that passes have met, in order of distance, and whose passes are left out."""
     left_out: list[LeftOut] = []
     while (sums := pass_sums(_staying(passes, left_out))) is not None:
-        found = _solved(sums, parameters)
-        others = contradicting(sums, found, parameters.file, parameters)
-        if not others:
-            return _places(sums, found, parameters), tuple(left_out)
-        left_out.extend(others)
+        solution = _solved(sums, parameters)
+        more = contradicting(sums, solution, parameters.file, parameters)
+        if not more:
+            return _places(sums, solution, parameters), tuple(left_out)
+        left_out.extend(more)
     return (), tuple(left_out)
 
 
 def _staying(passes: Sequence[WindowAdhesion], left_out: Sequence[LeftOut]) -> Sequence[WindowAdhesion]:
-    vehicles = {one.vehicle for one in left_out if one.wheelset is None}
-    wheelsets = {one.wheelset for one in left_out}
+    vehicles = {item.vehicle for item in left_out if item.wheelset is None}
+    wheelsets = {item.wheelset for item in left_out}
     return [item for item in passes if item.vehicle not in vehicles and item.wheelset not in wheelsets]
 
 
-def _places(sums: PassSums, found: _Solution, parameters: FrictionParameters) -> tuple[CellFriction, ...]:
+def _places(sums: PassSums, solution: _Solution, parameters: FrictionParameters) -> tuple[CellFriction, ...]:
     counts, passed = sums.counts, np.unique(sums.place * len(sums.vehicles) + sums.vehicle) // len(sums.vehicles)
     vehicles = np.bincount(passed, minlength=len(sums.cells))
     # what noise and what is known beforehand leave to the passes of a place alone; about 1/mu g is in proportion to it
-    known = sums.by_place(sums.at(found.inverse)[1]) / np.maximum(found.inverse, TINY) ** 2 / max(found.noise, TINY)
-    left = np.asarray(1.0 / np.sqrt(known + 1.0 / parameters.usual_std**2))
-    mean, std = _along(sums, found, left, parameters)
+    inverse, noise = np.maximum(solution.inverse, TINY), max(solution.noise, TINY)
+    precision = sums.by_place(sums.at(solution.inverse)[1]) / inverse**2 / noise
+    alone_std = np.asarray(1.0 / np.sqrt(precision + 1.0 / parameters.usual_std**2))
+    mean, std = _along(sums, solution, alone_std, parameters)
     _, gg, gq, _ = sums.by_place(sums.at(mean).T).T
     slope = np.asarray(mean * gq / np.maximum(gg, TINY))
     usual = slope[mean < 1.0 / parameters.low]
-    by_creep = found.left_creep_std * slope
+    by_creep = solution.left_creep_std * slope
     # the scale of a sensor makes a b at every friction, as at usual places
     by_scale = parameters.file.creep_std * (np.maximum(slope, np.median(usual)) if len(usual) else slope)
     smoothed = sums.by_place(sums.smoothed) > 0.0
     places = []
     for c, cell in enumerate(sums.cells):
-        stds = float(std[c]), float(by_creep[c]), float(by_scale[c])
-        place = _cell(int(cell), int(counts[c]), left[c], float(mean[c]), stds, parameters)
+        stds = float(alone_std[c]), float(std[c]), float(by_creep[c]), float(by_scale[c])
+        place = _cell(int(cell), int(counts[c]), float(mean[c]), stds, parameters)
         if smoothed[c] and place.friction.value is None and place.at_least:  # such forces make the bound too high
             place = replace(place, friction=Estimate.unknown(NO_BOUND, place.friction.count), at_least=0.0)
         places.append(replace(place, vehicles=int(vehicles[c])))
@@ -140,10 +142,10 @@ class _Solution(Agreed):
 
 
 def _solved(sums: PassSums, parameters: FrictionParameters) -> _Solution:
-    found = _in_turn(sums, parameters, None)
-    if not slippery_throughout(sums, found.creep, found.slope, parameters.creep_error_std, parameters):
-        return found
-    return _in_turn(sums, parameters, (found.creep - found.creep.mean(), parameters.creep_error_std))
+    by_level = _in_turn(sums, parameters, None)
+    if not slippery_throughout(sums, by_level.creep, by_level.slope, parameters.creep_error_std, parameters):
+        return by_level
+    return _in_turn(sums, parameters, (by_level.creep - by_level.creep.mean(), parameters.creep_error_std))
 
 
 def _in_turn(sums: PassSums, parameters: FrictionParameters, given: tuple[FloatArray, float] | None) -> _Solution:
@@ -154,21 +156,21 @@ def _in_turn(sums: PassSums, parameters: FrictionParameters, given: tuple[FloatA
     for _ in range(parameters.rounds):
         creep, left_std = given or creep_levels(sums, slope, inverse > parameters.most_usual + common, parameters)
         inverse = _least(sums.by_place(_misfits(sums, creep, slope, noise, parameters)))
-        at = sums.at(inverse)
-        noise = _noise(sums, at, creep, slope)
-        left = sums.squares[:, 3] - at[3] - creep[sums.vehicle] * sums.squares[:, 4]
-        slope = np.bincount(sums.wheelset, left) / (np.bincount(sums.wheelset, sums.squares[:, 5]) + TINY)
+        saturated = sums.at(inverse)
+        noise = _noise(sums, saturated, creep, slope)
+        sloping = sums.squares[:, 3] - saturated[3] - creep[sums.vehicle] * sums.squares[:, 4]
+        slope = np.bincount(sums.wheelset, sloping) / (np.bincount(sums.wheelset, sums.squares[:, 5]) + TINY)
         common = common_std(sums, inverse, creep, slope, parameters.usual, parameters)
     return _Solution(inverse, slope, noise, parameters.creep_error_std, creep, left_std, common)
 
 
-def _noise(sums: PassSums, at: FloatArray, creep: FloatArray, slope: FloatArray) -> float:
+def _noise(sums: PassSums, saturated: FloatArray, creep: FloatArray, slope: FloatArray) -> float:
     """Return the variance of e that the scatter of the passes about their common 1/mu shows, m2."""
     # the product of what is left of a pass with g has the variance of e, times its correlated samples, times g g
-    ge, gg, gq, gx = at
-    left = ge - gg - creep[sums.vehicle] * gq - slope[sums.wheelset] * gx
-    there = gg > 0.0
-    return float(np.median(left[there] ** 2 / gg[there]) / MEDIAN_SQUARE) if there.any() else 0.0
+    ge, gg, gq, gx = saturated
+    rest = ge - gg - creep[sums.vehicle] * gq - slope[sums.wheelset] * gx
+    saturates = gg > 0.0
+    return float(np.median(rest[saturates] ** 2 / gg[saturates]) / MEDIAN_SQUARE) if saturates.any() else 0.0
 
 
 def _misfits(
@@ -176,8 +178,8 @@ def _misfits(
 ) -> FloatArray:
     """Return the sums of squares (n, k) that every friction leaves of a pass at a place, but for a constant."""
     # what is known of the place beforehand is spread over its passes
-    known = noise * ((INVERSE - parameters.usual) / parameters.usual_std) ** 2
-    return _own_misfits(sums, creep, slope) + known / sums.counts[sums.place][:, None]
+    beforehand = noise * ((INVERSE - parameters.usual) / parameters.usual_std) ** 2
+    return _own_misfits(sums, creep, slope) + beforehand / sums.counts[sums.place][:, None]
 
 
 def _own_misfits(sums: PassSums, creep: FloatArray, slope: FloatArray) -> FloatArray:
@@ -189,41 +191,41 @@ def _own_misfits(sums: PassSums, creep: FloatArray, slope: FloatArray) -> FloatA
 def _least(misfits: FloatArray) -> FloatArray:
     """Return 1/mu (m,) where a parabola through the least of sums of squares (m, k) and its neighbours is least."""
     least = np.argmin(misfits, axis=1)
-    at, rows = np.clip(least, 1, len(INVERSE) - 2), np.arange(len(misfits))
-    before, own, behind = misfits[rows, at - 1], misfits[rows, at], misfits[rows, at + 1]
-    x0, x1, x2 = INVERSE[at - 1], INVERSE[at], INVERSE[at + 1]
-    left, right = (own - before) / (x1 - x0), (behind - own) / (x2 - x1)
-    bend = (right - left) / (x2 - x0)
-    inside = (at == least) & (bend > 0.0)
-    lowest = 0.5 * (x0 + x1) - 0.5 * left / np.where(inside, bend, 1.0)
+    middle, rows = np.clip(least, 1, len(INVERSE) - 2), np.arange(len(misfits))
+    x0, x1, x2 = (INVERSE[middle + step] for step in (-1, 0, 1))
+    y0, y1, y2 = (misfits[rows, middle + step] for step in (-1, 0, 1))
+    falling, rising = (y1 - y0) / (x1 - x0), (y2 - y1) / (x2 - x1)
+    bend = (rising - falling) / (x2 - x0)
+    inside = (middle == least) & (bend > 0.0)
+    lowest = 0.5 * (x0 + x1) - 0.5 * falling / np.where(inside, bend, 1.0)
     return np.asarray(np.where(inside, np.clip(lowest, x0, x2), INVERSE[least]))
 
 
 def _along(
-    sums: PassSums, found: _Solution, left: FloatArray, parameters: FrictionParameters
+    sums: PassSums, solution: _Solution, alone_std: FloatArray, parameters: FrictionParameters
 ) -> tuple[FloatArray, FloatArray]:
     """Return 1/mu of the places and its std; passes that scatter by more than the noise say less of their place."""
-    misfits = _misfits(sums, found.creep, found.slope, found.noise, parameters)
-    left_out, n = _least(sums.by_place(misfits)[sums.place] - misfits), sums.counts
-    deviations = left_out - (sums.by_place(left_out) / n)[sums.place]
+    misfits = _misfits(sums, solution.creep, solution.slope, solution.noise, parameters)
+    of_others, n = _least(sums.by_place(misfits)[sums.place] - misfits), sums.counts
+    deviations = of_others - (sums.by_place(of_others) / n)[sums.place]
     scatter = np.sqrt((n - 1) / n * sums.by_place(deviations**2))
-    widened = (left / np.maximum(scatter, left)) ** 2
-    misfits = sums.by_place(_own_misfits(sums, found.creep, found.slope))
+    widened = (alone_std / np.maximum(scatter, alone_std)) ** 2
+    misfits = sums.by_place(_own_misfits(sums, solution.creep, solution.slope))
     smoothed = parameters.smoothed_std * sums.by_place(sums.smoothed) / sums.counts
-    place_std = np.hypot(np.maximum(parameters.track_std, found.common_std), smoothed)
-    return along_track(sums.cells, misfits * widened[:, None] / max(found.noise, TINY), place_std, parameters)
+    place_std = np.hypot(np.maximum(parameters.track_std, solution.common_std), smoothed)
+    return along_track(sums.cells, misfits * widened[:, None] / max(solution.noise, TINY), place_std, parameters)
 
 
 def _cell(
-    cell: int, n: int, left: float, inverse: float, stds: tuple[float, float, float], parameters: FrictionParameters
+    cell: int, n: int, inverse: float, stds: tuple[float, float, float, float], parameters: FrictionParameters
 ) -> CellFriction:
+    alone_std, sampled, by_creep, by_scale = stds
     if n < parameters.fewest_passes:
         few = Reason(ReasonCode.TOO_FEW_PASSES, f"{n} of {parameters.fewest_passes} passes that are needed")
         return CellFriction(cell, Estimate.unknown(few, float(n)), 0.0, 0.0, n)
-    if left > parameters.learnt_std_share * parameters.usual_std:
+    if alone_std > parameters.learnt_std_share * parameters.usual_std:
         small = Reason(ReasonCode.CREEP_TOO_SMALL, f"creep is so small in {n} passes that it shows no friction")
         return CellFriction(cell, Estimate.unknown(small, float(n)), 0.0, 0.0, n)
-    sampled, by_creep, by_scale = stds
     # what more passes do not show, with sensors as on file, decides where friction is low
     decided = math.hypot(math.hypot(parameters.law_std, parameters.file.factor_std) * inverse, by_creep)
     systematic = math.hypot(decided, by_scale)
@@ -246,39 +248,39 @@ def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters)
     reached = min(parameters.at_ends, parameters.likely)
     beside = any(cell.vehicles >= parameters.fewest_vehicles for cell in cells)
     by_one = max(parameters.likely, parameters.beside_others if beside else parameters.certain)
-    found: list[tuple[float, float, bool]] = []
+    stretches: list[tuple[float, float, bool]] = []
     for cell in cells:
         if cell.friction.value is None or cell.low_probability < reached:
             continue
         agreed, high = cell.vehicles >= parameters.fewest_vehicles, cell.friction.high
         needed = parameters.likely if agreed else by_one
         shows = cell.low_probability >= needed and high is not None and high < parameters.good
-        if found and cell.from_m - found[-1][1] <= CELL_LENGTH:
-            begin, _, before = found.pop()
-            found.append((begin, cell.to_m, before or shows))
+        if stretches and cell.from_m - stretches[-1][1] <= CELL_LENGTH:
+            begin, _, before = stretches.pop()
+            stretches.append((begin, cell.to_m, before or shows))
         else:
-            found.append((cell.from_m, cell.to_m, shows))
-    return tuple((begin, end) for begin, end, shows in found if shows)
+            stretches.append((cell.from_m, cell.to_m, shows))
+    return tuple((begin, end) for begin, end, shows in stretches if shows)
 
 
 def certain_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters) -> tuple[tuple[float, float], ...]:
     """Return where friction is certainly low: (begin, end) in m of adjoining places, in order of distance."""
     # a vehicle that is alone is certain of nothing: the geometries by which it judges the rails are its own
     certain = max(parameters.certain, parameters.likely)
-    found: list[tuple[float, float]] = []
+    stretches: list[tuple[float, float]] = []
     for cell in cells:
         agreed = cell.vehicles >= parameters.fewest_vehicles and cell.friction.value is not None
         if not agreed or cell.low_probability < certain:
             continue
-        begin = found.pop()[0] if found and found[-1][1] == cell.from_m else cell.from_m
-        found.append((begin, cell.to_m))
-    return tuple(found)
+        begin = stretches.pop()[0] if stretches and stretches[-1][1] == cell.from_m else cell.from_m
+        stretches.append((begin, cell.to_m))
+    return tuple(stretches)
 
 
-def touched(one: WindowAdhesion, stretches: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+def touched(window: WindowAdhesion, stretches: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
     """Return the stretches of low friction that a window was on."""
-    if one.sums is None or not len(one.sums.cells):
+    if window.sums is None or not len(window.sums.cells):
         return ()
-    margin = MOTION.low_friction_margin
-    first, last = CELL_LENGTH * one.sums.cells[0] - margin, CELL_LENGTH * (one.sums.cells[-1] + 1) + margin
+    margin, cells = MOTION.low_friction_margin, window.sums.cells
+    first, last = CELL_LENGTH * cells[0] - margin, CELL_LENGTH * (cells[-1] + 1) + margin
     return tuple((begin, end) for begin, end in stretches if begin < last and end > first)

@@ -38,8 +38,9 @@ from scipy.interpolate import CubicSpline
 from estimation.adhesion.creep_forces import FileErrors, FrictionParameters
 from estimation.adhesion.parameters import FORCES
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
-from estimation.values.opinions import INVERSE, LeftOut, WindowAdhesion
+from estimation.values.opinions import LeftOut, WindowAdhesion
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.sums import INVERSE
 from estimation.values.units import MEDIAN_ERROR, NORMAL_90, STD_PER_MAD
 
 
@@ -152,12 +153,12 @@ class Agreed:
 def scales(sums: PassSums, group: IntArray, agreed: Agreed) -> Scales:
     """Return the scales of groups of passes."""
     inverse, slope = agreed.inverse[sums.place], agreed.slope[sums.wheelset]
-    own = np.bincount(group, sums.squares[:, 2]) + agreed.noise / agreed.creep_std**2 + TINY
-    misfits = np.empty((len(SCALES), len(own)))
+    weights = np.bincount(group, sums.squares[:, 2]) + agreed.noise / agreed.creep_std**2 + TINY
+    misfits = np.empty((len(SCALES), len(weights)))
     for k, logarithm in enumerate(SCALES):
         ge, gg, gq, gx = sums.at_each(inverse * np.exp(logarithm))
-        creep = np.bincount(group, sums.squares[:, 1] - gq - slope * sums.squares[:, 4]) / own
-        misfits[k] = np.bincount(group, gg - 2.0 * ge + 2.0 * slope * gx) - creep**2 * own
+        creep = np.bincount(group, sums.squares[:, 1] - gq - slope * sums.squares[:, 4]) / weights
+        misfits[k] = np.bincount(group, gg - 2.0 * ge + 2.0 * slope * gx) - creep**2 * weights
     return Scales(_least(misfits), misfits / max(agreed.noise, TINY))
 
 
@@ -165,12 +166,12 @@ def _least(misfits: FloatArray) -> FloatArray:
     """Return where misfits (s, g) are least, by a parabola through the least and its neighbours."""
     step, groups = SCALES[1] - SCALES[0], np.arange(misfits.shape[1])
     least = np.argmin(misfits, axis=0)
-    at = np.clip(least, 1, len(SCALES) - 2)
-    before, own, behind = misfits[at - 1, groups], misfits[at, groups], misfits[at + 1, groups]
-    bend = before - 2.0 * own + behind
-    inside = (at == least) & (bend > 0.0)
+    middle = np.clip(least, 1, len(SCALES) - 2)
+    before, here, behind = (misfits[middle + place, groups] for place in (-1, 0, 1))
+    bend = before - 2.0 * here + behind
+    inside = (middle == least) & (bend > 0.0)
     moved = 0.5 * (before - behind) / np.where(inside, bend, 1.0)
-    return np.asarray(np.where(inside, SCALES[at] + moved * step, SCALES[least]))
+    return np.asarray(np.where(inside, SCALES[middle] + moved * step, SCALES[least]))
 
 
 def contradicting(
@@ -188,7 +189,7 @@ def contradicting(
     if known.sum() < parameters.fewest_with_scale:
         return ()
     usual = np.full(len(known), np.median(by_vehicle.logarithm[known]))
-    own = by_vehicle.logarithm[vehicle_of]
+    of_its_vehicle = by_vehicle.logarithm[vehicle_of]
     # a wheelset may have run under two vehicles meanwhile
     pairs = np.unique(sums.vehicle * len(sums.wheelsets) + sums.wheelset) // len(sums.wheelsets)
     scatter = parameters.wheelset_scatter / np.sqrt(np.bincount(pairs))
@@ -198,20 +199,20 @@ def contradicting(
     if deviation[vehicle] > parameters.most_deviation_stds:
         factor = float(np.exp(by_vehicle.logarithm[vehicle] - usual[vehicle]))
         return (_left_out(sums.vehicles[vehicle], None, factor, "the other vehicles"),)
-    of_wheelset = np.full(len(own), np.hypot(parameters.wheelset_scatter, file.spring))
-    deviation = _deviation(by_wheelset, own, of_wheelset, by_wheelset.known & known[vehicle_of])
+    of_wheelset = np.full(len(of_its_vehicle), np.hypot(parameters.wheelset_scatter, file.spring))
+    deviation = _deviation(by_wheelset, of_its_vehicle, of_wheelset, by_wheelset.known & known[vehicle_of])
     order = np.lexsort((-deviation, vehicle_of))
     worst = order[np.unique(vehicle_of[order], return_index=True)[1]]
-    factors = np.exp(by_wheelset.logarithm - own)
+    factors = np.exp(by_wheelset.logarithm - of_its_vehicle)
     return tuple(
         _left_out(sums.vehicles[vehicle_of[w]], sums.wheelsets[w], float(factors[w]), "the rest of its vehicle")
         for w in worst[deviation[worst] > parameters.most_deviation_stds]
     )
 
 
-def _deviation(found: Scales, usual: FloatArray, stated: FloatArray, known: BoolArray) -> FloatArray:
+def _deviation(shown: Scales, usual: FloatArray, stated: FloatArray, known: BoolArray) -> FloatArray:
     """Return by how many stds of noise and ``stated`` known groups deviate from ``usual``; 0 for the others."""
-    return np.where(known, np.abs(found.logarithm - usual) / np.hypot(found.std_from(usual), stated), 0.0)
+    return np.where(known, np.abs(shown.logarithm - usual) / np.hypot(shown.std_from(usual), stated), 0.0)
 
 
 def _left_out(vehicle: str, wheelset: str | None, factor: float, others: str) -> LeftOut:
@@ -241,12 +242,12 @@ def along_track(
     steps = np.exp(-0.5 * ((logarithm[:, None] - logarithm) / parameters.change_std) ** 2)
     steps = (1.0 - parameters.fresh) * steps / steps.sum(axis=1, keepdims=True) + parameters.fresh * prior
     values = CubicSpline(INVERSE, misfits, axis=1)(GRID)
-    own = np.exp(-0.5 * (values - values.min(axis=1, keepdims=True)))
-    widened = np.empty_like(own)
+    alone = np.exp(-0.5 * (values - values.min(axis=1, keepdims=True)))
+    widened = np.empty_like(alone)
     wrong = parameters.wrong_place_share
     for std in np.unique(place_std):
         spread = (1.0 - wrong) * _spread(std, width) + wrong * _spread(parameters.wrong_factor * std, width)
-        widened[place_std == std] = own[place_std == std] @ spread.T
+        widened[place_std == std] = alone[place_std == std] @ spread.T
     likelihoods = np.asarray(widened / widened.max(axis=1, keepdims=True) + parameters.least_likelihood)
     adjoins = np.diff(cells) == 1
     forward, back = np.empty_like(likelihoods), np.ones_like(likelihoods)

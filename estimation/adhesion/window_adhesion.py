@@ -33,9 +33,10 @@ from estimation.motion.integration import WindowParameters
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array, runs
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.memory import MEMORY
-from estimation.values.opinions import CELL_LENGTH, INVERSE, FrictionSums, WindowAdhesion
+from estimation.values.opinions import FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.sums import CELL_LENGTH, INVERSE
 from estimation.values.track import Correction, TrackSectionRecord
 from estimation.values.windows import Motion, Window
 from estimation.vehicle.vehicle_class import VehicleClass, VehicleParameters
@@ -57,8 +58,9 @@ class ContactAngles(FrozenArrays):
 
     def at(self, difference: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return dL - dR and dL + dR (n,), rad, at rL - rR (n,), m; beyond the table their last values."""
-        found = (np.interp(difference, self.difference, angles) for angles in (self.angle_difference, self.angle_sum))
-        return next(found), next(found)
+        tables = self.angle_difference, self.angle_sum
+        by_difference, by_sum = (np.interp(difference, self.difference, table) for table in tables)
+        return by_difference, by_sum
 
 
 def contact_angles(
@@ -68,9 +70,9 @@ def contact_angles(
 
     The curve (b,) is rL - rR over y - d, m; NaN where it is not estimated.
     """
-    known = np.isfinite(difference)
-    if known.sum() < FORCES.fewest_nodes:
-        return Reason(ReasonCode.NO_CREEP_CURVE, f"rL - rR is known at {known.sum()} displacements")
+    estimated = np.isfinite(difference)
+    if estimated.sum() < FORCES.fewest_nodes:
+        return Reason(ReasonCode.NO_CREEP_CURVE, f"rL - rR is known at {estimated.sum()} displacements")
     rail = (section.rail_profile, section.rail_inclination, section.nominal_gauge_m)
     if not (is_design(wheel) and is_design(section.rail_profile)):
         return Reason(ReasonCode.PROFILES_UNKNOWN, f"{wheel} on {section.rail_profile} are no profiles with a shape")
@@ -78,9 +80,10 @@ def contact_angles(
     if family is None:
         return Reason(ReasonCode.PROFILES_UNKNOWN, f"{wheel} on {section.rail_profile} have no contact geometry")
     curves, differences, sums = family
-    expected = np.stack([np.interp(displacement[known], DISPLACEMENT, curve) for curve in curves])
-    left = expected - difference[known]
-    misfit = np.sqrt(((left - left.mean(axis=1, keepdims=True)) ** 2).mean(axis=1))  # a diameter difference is no wear
+    expected = np.stack([np.interp(displacement[estimated], DISPLACEMENT, curve) for curve in curves])
+    apart = expected - difference[estimated]
+    apart = apart - apart.mean(axis=1, keepdims=True)  # a diameter difference is no wear
+    misfit = np.sqrt((apart**2).mean(axis=1))
     best = int(np.argmin(misfit))
     if misfit[best] > FORCES.most_profile_misfit:
         return Reason(
@@ -98,18 +101,18 @@ def _family(
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Return R, D and dL + dR (9, n) of a wheel worn more and more; None where it never touches the rail."""
     centre, half_width = HOLLOWS.get(wheel, FORCES.usual_hollow_place)
-    found = []
+    rows = []
     try:
-        on = rail_profile(rail)
+        new_rail = rail_profile(rail)
         for depth in FORCES.wear_depths:
             worn_wheel = worn(wheel_profile(wheel), TreadWear(float(depth), centre, half_width, float(depth)))
-            pair = WheelsetOnTrack.symmetric(worn_wheel, on, inclination, gauge, radius=radius)
+            pair = WheelsetOnTrack.symmetric(worn_wheel, new_rail, inclination, gauge, radius=radius)
             table = contact_table(pair, DISPLACEMENT, method=ContactMethod.EN15302, outside="hold")
             left, right = table.contact_angle_left[:, 0], table.contact_angle_right[:, 0]
-            found.append((table.rolling_radius_difference[:, 0], left - right, left + right))
+            rows.append((table.rolling_radius_difference[:, 0], left - right, left + right))
     except (ContactError, ProfileError):
         return None
-    curves, differences, sums = np.moveaxis(np.array(found), 1, 0)
+    curves, differences, sums = np.moveaxis(np.array(rows), 1, 0)
     return curves, differences, sums
 
 
@@ -153,9 +156,9 @@ def add_saturated(
         for k in range(len(bounds)):
             excess = 0.0
             for _ in range(SHARE_ROUNDS):
-                own = spin / (1.0 + excess)
-                left = math.sqrt(along * along + (lateral + own) * (lateral + own))
-                right = math.sqrt(along * along + (lateral - own) * (lateral - own))
+                of_spin = spin / (1.0 + excess)
+                left = math.sqrt(along * along + (lateral + of_spin) * (lateral + of_spin))
+                right = math.sqrt(along * along + (lateral - of_spin) * (lateral - of_spin))
                 excess = 0.5 * (excess_at(table, left / bounds[k]) + excess_at(table, right / bounds[k]))
             g = q * excess
             sums[0, k] += g * e
@@ -226,8 +229,8 @@ def friction_sums(
     """
     p, step = vehicle, max(1, int(FORCES.sum_interval_s / sample_interval_s + 1e-6))
     difference = _on_curve(motion.displacement, *curve) - signals.linear_difference
-    known = signals.valid & np.isfinite(difference) & np.isfinite(signals.lateral) & np.isfinite(distance)
-    good = np.flatnonzero(known[::step]) * step
+    usable = signals.valid & np.isfinite(difference) & np.isfinite(signals.lateral) & np.isfinite(distance)
+    good = np.flatnonzero(usable[::step]) * step
     place = np.floor(distance[good] / CELL_LENGTH).astype(np.int64)
     cells, index, counts = np.unique(place, return_inverse=True, return_counts=True)
     f11 = p.longitudinal_creep_coefficient / motion.stiffness_ratio
@@ -278,7 +281,7 @@ def window_adhesion(
     curve = (geometry.bin_centres, geometry.rolling_radius_difference.value)
     vehicle = parameters.vehicle
     angles = contact_angles(*curve, inputs.wheel_profile, inputs.section, vehicle.nominal_radius)
-    found = creep_signals(
+    creep = creep_signals(
         forces,
         motion,
         vehicle,
@@ -287,17 +290,17 @@ def window_adhesion(
         None if isinstance(angles, Reason) else angles,
         mounted_reversed=inputs.mounted_reversed,
     )
-    if found.valid.sum() < FORCES.fewest_samples:
-        text = f"{found.valid.sum()} samples of creep, {FORCES.fewest_samples} are needed"
+    if creep.valid.sum() < FORCES.fewest_samples:
+        text = f"{creep.valid.sum()} samples of creep, {FORCES.fewest_samples} are needed"
         return refused(*of_window, Reason(ReasonCode.TOO_FEW_USABLE, text))
     error = float(np.hypot(FORCES.force_std, FORCES.smoothed_force_std)) if forces.smoothed else FORCES.force_std
     distance = inputs.correction.at(window.distance)
-    of_samples = (found, motion, distance, curve, vehicle, window.sample_interval_s)
+    of_samples = (creep, motion, distance, curve, vehicle, window.sample_interval_s)
     sums = None if isinstance(angles, Reason) else friction_sums(*of_samples)
     return WindowAdhesion(
         *of_window,
         Status.ESTIMATED,
-        *_forces(found, angles, parameters.vehicle_class, error),
+        *_forces(creep, angles, parameters.vehicle_class, error),
         sums=sums,
         reason=angles if isinstance(angles, Reason) else None,
         smoothed=forces.smoothed,

@@ -58,7 +58,7 @@ class Mirrored:
     left: float  # standard deviations that the other sign leaves
 
 
-def newest_mirrored(parts: Parts, model: StepModel) -> Mirrored | None:
+def newest_mirrored(parts: Parts) -> Mirrored | None:
     """Return the newest change of sign since the last known event, by a whole history; None where there is none."""
     # From one interval to the next a curve differs by no more than its standard deviations where these are large,
     # although most of what they hold is common to all intervals of a wheelset. Over a history the noise is known: the
@@ -72,19 +72,19 @@ def newest_mirrored(parts: Parts, model: StepModel) -> Mirrored | None:
     even = even - even.mean(axis=1, keepdims=True)  # a band-passed signal leaves the level open
     size, error = _sizes(even, std)
     x_km = parts.x_km[whole]
-    found = newest_change(Series(x_km, parts.t_ns[whole], size, error), EVEN)
-    if found is None:
+    step = newest_change(Series(x_km, parts.t_ns[whole], size, error), EVEN)
+    if step is None:
         return None
-    beside = model.points_beside
-    sides = slice(max(0, found.last + 1 - beside), found.last + 1), slice(found.first, found.first + beside)
+    beside = EVEN.points_beside
+    sides = slice(max(0, step.last + 1 - beside), step.last + 1), slice(step.first, step.first + beside)
     before, after = (float(np.median(size[side])) for side in sides)
     odd_change, even_change = (_change(table, x_km, sides) for table in (odd, even))
     unlike, common = abs(after + before), float(np.median(error))
-    most_unlike = FINDINGS.size_tolerance * abs(found.size) + FINDINGS.common_stds * common
+    most_unlike = FINDINGS.size_tolerance * abs(step.size) + FINDINGS.common_stds * common
     if odd_change > FINDINGS.mirrored_odd_share * even_change or unlike > most_unlike:
         return None
-    left = unlike / float(np.hypot(found.std, FINDINGS.common_stds * common))
-    return Mirrored(int(whole[found.last]), int(whole[found.first]), abs(found.size) / found.std, left)
+    unexplained = unlike / float(np.hypot(step.std, FINDINGS.common_stds * common))
+    return Mirrored(int(whole[step.last]), int(whole[step.first]), abs(step.size) / step.std, unexplained)
 
 
 def _sizes(even: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -185,13 +185,13 @@ def identity_events(
         event = reversed_between(*jumps[serial], p) if serial in jumps else None
         if (event := event or _reversed_in(seen, p)) is not None:
             events[serial] = event
-    pairs = (swapped_between(jumps[one], jumps[other], p) for one, other in combinations(sorted(jumps), 2))
+    pairs = (swapped_between(jumps[first], jumps[second], p) for first, second in combinations(sorted(jumps), 2))
     swaps = [swap for swap in pairs if swap is not None]
     for swap in sorted(swaps, key=lambda pair: (max(pair[0].left, pair[1].left), pair[0].wheelset)):
-        known = [events.get(event.wheelset) for event in swap]
+        earlier = [events.get(event.wheelset) for event in swap]
         if all(
             old is None or (old.mistake is not Mistake.SWAPPED and event.left < old.left)
-            for event, old in zip(swap, known, strict=True)
+            for event, old in zip(swap, earlier, strict=True)
         ):
             events |= {event.wheelset: event for event in swap}
     return events
@@ -249,24 +249,23 @@ def _reversed_in(seen: Sequence[Observation], p: IdentityParameters) -> Identity
     # the intervals have to be on the same bins; what is between the two sides is of neither
     usable = [item for item in seen if item.geometry.windows >= p.least_windows]
     evens = [_even(_curve(item)) for item in usable]
-    if not evens or any(len(one.at) != len(evens[0].at) or not np.allclose(one.at, evens[0].at) for one in evens):
+    if not evens or any(len(curve.at) != len(evens[0].at) or not np.allclose(curve.at, evens[0].at) for curve in evens):
         return None
     near = evens[0].at <= p.reach
     whole = np.array([_curve(item).value[_curve(item).at > 0.0] for item in usable])
-    even = np.array([one.value for one in evens])
-    found = newest_mirrored(
+    even = np.array([curve.value for curve in evens])
+    mirrored = newest_mirrored(
         Parts(
             np.array([item.mileage_km for item in usable]),
             np.array([0.5 * (item.from_ns + item.to_ns) for item in usable]),
             even[:, near],
             (whole - even)[:, near],
-            np.array([one.std[near] for one in evens]),
-        ),
-        EVEN,
+            np.array([curve.std[near] for curve in evens]),
+        )
     )
-    if found is None:
+    if mirrored is None:
         return None
-    return _event(Mistake.REVERSED, None, (usable[found.last], usable[found.first]), found.jump, found.left)
+    return _event(Mistake.REVERSED, None, (usable[mirrored.last], usable[mirrored.first]), mirrored.jump, mirrored.left)
 
 
 def swapped_between(
@@ -288,13 +287,13 @@ def swapped_between(
     left = [float(value) for value in crossed if value is not None]
     if min(jumps) < p.least_jump or max(left) > p.most_left or min(jumps) < p.least_gain * max(left):
         return None
-    one = _event(Mistake.SWAPPED, second[0].wheelset, first, jumps[0], left[0])
-    other = _event(Mistake.SWAPPED, first[0].wheelset, second, jumps[1], left[1])
+    of_first = _event(Mistake.SWAPPED, second[0].wheelset, first, jumps[0], left[0])
+    of_second = _event(Mistake.SWAPPED, first[0].wheelset, second, jumps[1], left[1])
     # both at one time: it happened after the last data of either before, and before the first of either after
-    begin, end = max(one.before_ns, other.before_ns), min(one.after_ns, other.after_ns)
+    begin, end = max(of_first.before_ns, of_second.before_ns), min(of_first.after_ns, of_second.after_ns)
     return (
-        replace(one, before_ns=min(begin, one.after_ns), after_ns=max(end, one.before_ns)),
-        replace(other, before_ns=min(begin, other.after_ns), after_ns=max(end, other.before_ns)),
+        replace(of_first, before_ns=min(begin, of_first.after_ns), after_ns=max(end, of_first.before_ns)),
+        replace(of_second, before_ns=min(begin, of_second.after_ns), after_ns=max(end, of_second.before_ns)),
     )
 
 

@@ -71,8 +71,8 @@ def transition(
         opens = finding.breached if finding.stands is None else finding.stands
         if not opens:
             return None
-        found = _opened(finding, fleet, delays or AlertDelays())
-        return replace(found, alert=replace(found.alert, rules_version=rules_version))
+        opened_now = _opened(finding, fleet, delays or AlertDelays())
+        return replace(opened_now, alert=replace(opened_now.alert, rules_version=rules_version))
     must_be_open(open_alert)
     if (open_alert.wheelset, open_alert.kind) != (finding.wheelset, finding.kind):
         raise ConflictError("the finding is not about this alert", kind="alert", key=str(open_alert.alert_id))
@@ -278,10 +278,10 @@ def section_transition(
 ) -> Transition | None:
     """Return what a finding does to the open alert of a section and kind; None where nothing changes."""
     nameless = None if open_alert is None else replace(open_alert, wheelset="")
-    found = transition(nameless, finding, now_ns, fleet=fleet, delays=delays, rules_version=rules_version)
-    if found is None:
+    change = transition(nameless, finding, now_ns, fleet=fleet, delays=delays, rules_version=rules_version)
+    if change is None:
         return None
-    return replace(found, alert=replace(found.alert, wheelset=None, track_section=track_section))
+    return replace(change, alert=replace(change.alert, wheelset=None, track_section=track_section))
 
 
 MOST_REFERENCES = 20

@@ -30,8 +30,8 @@ JUMP_DISTANCE = PROFILES.jump_distance
 JUMP_INTERVAL = PROFILES.jump_interval
 CURVE_TOLERANCE = PROFILES.curve_tolerance
 CURVE_INTERVAL = PROFILES.curve_interval
-OUTSIDE = 1.0e3  # m, gap where there is no rail
-_LEVELS = 64  # more than the halvings from any grid step to the interval
+OUTSIDE = PROFILES.gap_outside
+MOST_HALVINGS = PROFILES.most_halvings
 
 FOUND, NO_OVERLAP, FLANGE_TIP, OUTER_EDGE, NO_ROLL = 0, 1, 2, 3, 4  # outcome of a search: why there is no contact point
 
@@ -268,7 +268,7 @@ def refined(displacement, deviation, values, outcomes, rigid, half, radii, wheel
         upper.append((displacement[i + 1], (w[0], w[1], w[2], w[3], w[4], FOUND)))
         while len(upper) > 0:
             high, second = upper[-1]
-            if high - low > CURVE_INTERVAL and len(upper) < _LEVELS:
+            if high - low > CURVE_INTERVAL and len(upper) < MOST_HALVINGS:
                 middle = 0.5 * (low + high)
                 between = contact(middle, deviation, first[0], rigid, half, radii, wheels, rails)
                 chord = 0.5 * (_difference(first, wheels) + _difference(second, wheels))

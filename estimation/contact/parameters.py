@@ -23,6 +23,8 @@ class ProfileParameters:
     jump_interval: float = 4e-6  # m, ... while the wheelset moves no farther than this
     curve_tolerance: float = 2e-7  # m, of the radius difference half-way between two points of a refined curve
     curve_interval: float = 1e-9  # m, a jump of a refined curve is placed to within this
+    most_halvings: int = 64  # more than from any grid step to that interval
+    gap_outside: float = 1e3  # m, where there is no rail
     # conicity
     conicity_draws: int = 48
     least_draw_share: float = 0.8  # that must cover an amplitude

@@ -166,7 +166,9 @@ def worn_rail(rail: Profile, wear: RailWear) -> Profile:
     return Profile("rail", f"{rail.name} worn", rail.y, rail.z + loss, rail.slope + slope)
 
 
-HOLLOWS: Mapping[str, tuple[float, float]] = {  # centre and half width of the hollow of each design wheel, m
+# Centre and half width of the hollow of each design wheel, m: data of the wear form, chosen where its contact patches
+# are (docs/decisions/contact-wear-form.md). The worn family is made from them (`bench worn_family`).
+HOLLOWS: Mapping[str, tuple[float, float]] = {
     "P8": (3e-3, 44e-3),
     "S1002": (4e-3, 33e-3),
     "EN13715-1/40/h28/e32.5": (3e-3, 38e-3),

@@ -32,9 +32,10 @@ from estimation.dampers.suspension_equations import (
 )
 from estimation.motion.integration import bridged
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.opinions import SHARES, DamperSums, GearDamper, WindowDamper
+from estimation.values.opinions import DamperSums, GearDamper, WindowDamper
 from estimation.values.quantities import Estimate, Status, jackknife_std, with_interval
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.sums import SHARES
 from estimation.values.units import NORMAL_95
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass

@@ -28,7 +28,7 @@ from estimation.dampers.suspension_equations import (
 )
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.memory import MEMORY
-from estimation.values.opinions import SHARES
+from estimation.values.sums import SHARES
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, SensorLayout, VehicleClass
 
 
@@ -176,7 +176,7 @@ def _filters(kept: _Kept, sample_interval_s: float) -> DamperFilters:
     if vehicle_class.bogie is not None:
         variants, sources = [*variants, {}, {}, {}], [*sources, 1, 2, 3]
     made = [[_one(vehicle_class, share, variant, step_s) for variant in variants] for share in SHARES]
-    transition, by_input, measured, gain = (np.array([[one[k] for one in row] for row in made]) for k in range(4))
+    transition, by_input, measured, gain = (np.array([[parts[k] for parts in row] for row in made]) for k in range(4))
     apart = [std / math.sqrt(2.0) for std in _scale_stds(vehicle_class.sensors)]
     signals = _signals(len(physical), len(sources))
     size = len(signals)
@@ -201,7 +201,7 @@ def _signals(physical: int, variants: int) -> FloatArray:
     rows = [np.eye(variants + 1)[nominal]]
     plus, minus = (np.eye(variants + 1)[1 + k * physical : 1 + (k + 1) * physical] for k in (0, 1))
     rows += list(0.5 * (plus - minus))
-    rows += [one - rows[0] for one in np.eye(variants + 1)[1 + 2 * physical : variants]]
+    rows += [row - rows[0] for row in np.eye(variants + 1)[1 + 2 * physical : variants]]
     rows += list(0.5 * (plus + minus) - rows[0])
     return np.stack([*rows, np.eye(variants + 1)[following] - rows[0]])
 
@@ -219,11 +219,11 @@ def _of_noise(filters: DamperFilters, vehicle_class: VehicleClass, dt: float) ->
         response[1 : 1 + len(part)] = part
         for below in (True, False):
             std = _densities(vehicle_class.sensors, _axles(vehicle_class))[0 if below else 1] / math.sqrt(2.0 * dt)
-            one = std * (between_samples(response) if below else response)
-            mean = np.tile(one, (len(SOURCES), 1))
+            noise = std * (between_samples(response) if below else response)
+            mean = np.tile(noise, (len(SOURCES), 1))
             apart = silent.copy()
-            apart[1 if below else 2] = filters.apart[0 if below else 1] * one
-            apart[3] = DAMPING.clock_std_s * np.gradient(one, filters.step_s)
+            apart[1 if below else 2] = filters.apart[0 if below else 1] * noise
+            apart[3] = DAMPING.clock_std_s * np.gradient(noise, filters.step_s)
             for signal in (mean, apart):
                 both = (signal, silent) if below else (silent, signal)
                 add_products(filters, both[0], both[1], counted, products)
@@ -297,5 +297,5 @@ def _held(rates: FloatArray, by_input: FloatArray, step_s: float) -> FloatArray:
 
 
 def _densities(sensors: SensorLayout, axles: int) -> tuple[float, float]:
-    found = [max(one.noise_density, DAMPING.least_noise_density) for one in (sensors.lateral, sensors.mass_lateral)]
-    return found[0] / math.sqrt(axles), found[1] / math.sqrt(axles)
+    least, share = DAMPING.least_noise_density, math.sqrt(axles)
+    return max(sensors.lateral.noise_density, least) / share, max(sensors.mass_lateral.noise_density, least) / share

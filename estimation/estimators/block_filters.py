@@ -26,14 +26,12 @@ from estimation.estimators.interface import (
     CurveEstimate,
     EstimatorParameters,
     Replicates,
-    covered_range,
     curve_estimate,
     nothing,
     usable,
 )
 from estimation.estimators.parameters import RIVALS
-from estimation.estimators.series import SeriesState, added, empty, misfit, shifts
-from estimation.geometry.conicity import too_few_blocks
+from estimation.estimators.series import SeriesState, added, empty, misfit, shifts, where_given
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode
@@ -41,9 +39,6 @@ from estimation.values.units import MILLIMETRE
 from estimation.values.windows import Motion
 from estimation.vehicle.regressors import regression
 from estimation.vehicle.vehicle_class import VehicleParameters
-
-STEEPEST = RIVALS.steepest_slope
-OFFSET_STD = RIVALS.offset_std
 
 
 class Inputs(NamedTuple):
@@ -162,29 +157,27 @@ class BlockFilters(ABC):
     def result(self, state: FilterState) -> CurveEstimate:
         """Return the curve that all blocks tell; nothing where too many have diverged."""
         series = state.series
-        span = covered_range(series.counts)
-        if isinstance(span, Reason):
-            return nothing(span, series.parameters, series.samples, series.stretches)
-        if state.diverged > RIVALS.most_diverged_share * state.blocks:
+        given = where_given(series.counts, state.precision)
+        uncovered = isinstance(given, Reason) and given.code is ReasonCode.TOO_FEW_SAMPLES
+        if not uncovered and state.diverged > RIVALS.most_diverged_share * state.blocks:
             text = f"the filter has diverged in {state.diverged} of {state.blocks} blocks of running"
-            return nothing(Reason(ReasonCode.DIVERGED, text), series.parameters, series.samples, series.stretches)
-        present = np.flatnonzero(np.trace(state.precision, axis1=1, axis2=2) != 0.0)
-        if len(present) < RIVALS.fewest_groups:
-            return nothing(too_few_blocks(len(present)), series.parameters, series.samples, series.stretches)
+            given = Reason(ReasonCode.DIVERGED, text)
+        if isinstance(given, Reason):
+            return nothing(given, series.parameters, series.samples, series.stretches)
+        x, present = given
         before = np.diag(self.prior.std**-2.0)
         precision = before + state.precision.sum(axis=0)
         information = before @ self.prior.mean + state.information.sum(axis=0)
-        x = np.linspace(*span, round((span[1] - span[0]) / RIVALS.curve_spacing) + 1)
         functions = self.basis(x)
         value = functions @ np.linalg.solve(precision, information)
         left_out = [
             functions @ np.linalg.solve(precision - state.precision[g], information - state.information[g])
             for g in present
         ]
-        own = functions @ np.linalg.cholesky(np.linalg.inv(precision))
+        roots = functions @ np.linalg.cholesky(np.linalg.inv(precision))
         unfollowed = value + misfit(series, x, value)
         shifted = np.vstack([value + shifts(series, functions, ridge=1e-9), unfollowed])
-        curve = Replicates(x, value, np.array(left_out), shifted, series.samples, series.stretches, own.T)
+        curve = Replicates(x, value, np.array(left_out), shifted, series.samples, series.stretches, roots.T)
         return curve_estimate(curve, series.parameters)
 
 
@@ -224,7 +217,8 @@ class ParticleFilter(BlockFilters):
     """
 
     prior = Prior(
-        np.array([0.0, 0.5 * STEEPEST * MILLIMETRE]), np.array([OFFSET_STD, STEEPEST / np.sqrt(12.0) * MILLIMETRE])
+        np.array([0.0, 0.5 * RIVALS.steepest_slope * MILLIMETRE]),
+        np.array([RIVALS.offset_std, RIVALS.steepest_slope / np.sqrt(12.0) * MILLIMETRE]),
     )
     particles: int = 48
     name: str = "particles"
@@ -236,9 +230,9 @@ class ParticleFilter(BlockFilters):
 
     def filter_block(self, vehicle: VehicleParameters, inputs: Inputs, noise: float) -> Posterior:
         """Return what a block tells of offset and slope."""
-        slope = STEEPEST * (np.arange(self.particles) + 0.5) / self.particles
+        slope = RIVALS.steepest_slope * (np.arange(self.particles) + 0.5) / self.particles
         mean = np.zeros((self.particles, 3))
-        P = np.tile(np.diag([1.0, 1.0, OFFSET_STD**2]), (self.particles, 1, 1))
+        P = np.tile(np.diag([1.0, 1.0, RIVALS.offset_std**2]), (self.particles, 1, 1))
         lever = 2 * vehicle.half_contact_distance * vehicle.nominal_radius
         square = kernels.particles(*inputs, noise, lever, slope, mean, P, _draws(self.particles))
         found = np.column_stack([mean[:, 2], slope * MILLIMETRE])

@@ -33,11 +33,10 @@ from estimation.estimators.interface import (
     covered_range,
     curve_estimate,
     nothing,
-    run_around_middle,
     usable,
 )
 from estimation.estimators.parameters import RIVALS
-from estimation.geometry.conicity import too_few_blocks
+from estimation.geometry.conicity import run_around, too_few_blocks
 from estimation.geometry.sharpening import jumps_displaced
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, frozen_array
@@ -262,7 +261,8 @@ class HiddenDisplacement:
             return nothing(too_few_blocks(groups), state.parameters, samples, state.stretches)
         sums, counts = self._expected(state)
         number = counts.sum(axis=0)
-        inside = run_around_middle((number >= HIDDEN.least_cell_samples) & (span[0] < MIDDLES) & (span[1] > MIDDLES))
+        enough = (number >= HIDDEN.least_cell_samples) & (span[0] < MIDDLES) & (span[1] > MIDDLES)
+        inside = run_around(enough, len(enough) // 2)
         middles = MIDDLES[inside]
         sums, counts = sums[:, inside], counts[:, inside]
         total, number = sums.sum(axis=0), counts.sum(axis=0)

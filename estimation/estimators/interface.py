@@ -21,14 +21,16 @@ from estimation.geometry.conicity import (
     NO_ZERO,
     CurveParameters,
     at_reference_amplitude,
+    estimate_of,
     not_covered,
+    run_around,
     too_few_blocks,
 )
 from estimation.geometry.parameters import PRIORS
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, bin_centres
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
-from estimation.values.quantities import Estimate, Status, jackknife_std, with_interval
+from estimation.values.quantities import Estimate, Status, jackknife_std
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Motion
 from estimation.vehicle.vehicle_class import VehicleParameters
@@ -123,17 +125,10 @@ def beside(x: FloatArray, value: FloatArray, sums: FloatArray, counts: FloatArra
 
 def covered_range(counts: FloatArray) -> tuple[float, float] | Reason:
     """Return from where to where, m, every cell has ``least_samples``, zero inside; why not without such a run."""
-    run = run_around_middle(counts >= RIVALS.least_samples)
+    run = run_around(counts >= RIVALS.least_samples, CELLS // 2)
     if CELLS // 2 in {run.start, run.stop}:
         return Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre")
     return run.start * WIDTH - REACH, run.stop * WIDTH - REACH
-
-
-def run_around_middle(enough: BoolArray) -> slice:
-    """Return the unbroken run on both sides of the middle of (n,); it ends there on a side that has none."""
-    middle = len(enough) // 2
-    right = middle + int(np.argmin(np.append(enough[middle:], False)))
-    return slice(middle - int(np.argmin(np.append(enough[:middle][::-1], False))), right)
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,19 +192,20 @@ def curve_estimate(curve: Replicates, parameters: EstimatorParameters) -> CurveE
     else:
         zeros = np.array([zero_crossing(x, row) for row in rows])
         crossing = estimate_of(zeros, g, count, NO_ZERO)
-    known = any(item.value is not None for item in conicity)
+    sampled = jackknife_std(rows[: g + 1]) if g else 0.0
+    covered = any(item.value is not None for item in conicity)
     return CurveEstimate(
         displacement=x,
         difference=curve.all_data,
-        difference_std=np.hypot(_spread(rows, g), np.sqrt(((shifted - curve.all_data) ** 2).sum(axis=0))),
+        difference_std=np.hypot(sampled, np.sqrt(((shifted - curve.all_data) ** 2).sum(axis=0))),
         amplitude=amplitude,
         conicity=conicity,
         nonlinearity=nonlinearity,
         zero_crossing=crossing,
         samples=curve.samples,
         stretches=curve.stretches,
-        status=Status.ESTIMATED if known else Status.UNESTIMATED,
-        reason=None if known else NO_AMPLITUDE,
+        status=Status.ESTIMATED if covered else Status.UNESTIMATED,
+        reason=None if covered else NO_AMPLITUDE,
         own_std=_own_std(curve, values[0], amplitude),
     )
 
@@ -219,18 +215,6 @@ def _own_std(curve: Replicates, conicity: FloatArray, amplitude: FloatArray) -> 
         return np.full(len(amplitude), np.nan)
     changed = [equivalent_conicity(curve.displacement, curve.all_data + row, amplitude) for row in curve.own]
     return np.asarray(np.linalg.norm(np.array(changed) - conicity, axis=0))
-
-
-def estimate_of(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:
-    """Return one number with its interval from replicates (1 + groups + p,): all, less groups, parameters shifted."""
-    if not np.isfinite(values).all():
-        return Estimate.unknown(reason, count)
-    systematic = float(np.sqrt(((values[groups + 1 :] - values[0]) ** 2).sum()))
-    return with_interval(float(values[0]), float(_spread(values, groups)), systematic, max(groups, 2), count)
-
-
-def _spread(rows: FloatArray, groups: int) -> FloatArray:
-    return jackknife_std(rows[: groups + 1]) if groups else np.zeros(rows.shape[1:])
 
 
 def geometry_from_motion(

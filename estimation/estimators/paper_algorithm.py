@@ -32,11 +32,10 @@ from estimation.estimators.interface import (
     counted,
     curve_estimate,
     nothing,
-    run_around_middle,
     usable,
 )
 from estimation.estimators.parameters import RIVALS
-from estimation.geometry.conicity import too_few_blocks
+from estimation.geometry.conicity import run_around, too_few_blocks
 from estimation.geometry.sharpening import jumps_displaced
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.tables.bin_table import group_of
@@ -106,38 +105,11 @@ def recursion_in_bins(
     features: FloatArray, output: FloatArray, index: IntArray, bins: int, parameters: PaperAlgorithm
 ) -> tuple[FloatArray, IntArray]:
     """Run Eq. 10-14 in bins ``index`` (n,); return theta (b, 3), NaN below the threshold, and the counts (b,)."""
-    count = np.bincount(index, minlength=bins).astype(np.int64)
-    theta = np.full((bins, REGRESSORS), np.nan)
-    order = np.argsort(index, kind="stable")  # a bin's samples together, in their own order
-    stops = np.cumsum(count)
-    for b in np.flatnonzero(count >= parameters.threshold):
-        rows = order[stops[b] - count[b] : stops[b]]
-        X, z = features[rows], output[rows]
-        scale = np.sqrt((X[: parameters.threshold] ** 2).mean(axis=0))
-        root, triangle = np.linalg.qr(X[: parameters.threshold] / scale)
-        if np.abs(np.diag(triangle)).min() <= 1e-9 * np.abs(np.diag(triangle)).max():
-            continue
-        inverse = np.linalg.inv(triangle)
-        start = inverse @ (root.T @ z[: parameters.threshold])
-        tail = np.ascontiguousarray(X[parameters.threshold :] / scale)
-        theta[b] = (
-            _recurse_bin(start, inverse @ inverse.T, tail, z[parameters.threshold :], parameters.forgetting) / scale
-        )
-    return theta, count
+    state = parameters.before(EstimatorParameters(), bins)
+    state = parameters.recursed(state, features / RIVALS.regressor_scale, output, index)
+    return state.theta / RIVALS.regressor_scale, state.count
 
 
-@compiled(nogil=True)
-def _recurse_bin(theta: FloatArray, P: FloatArray, X: FloatArray, z: FloatArray, W: float) -> FloatArray:
-    for i in range(len(z)):
-        x = X[i]
-        Px = P @ x
-        γ = 1.0 / (W + x @ Px)
-        theta = theta + γ * Px * (z[i] - x @ theta)
-        P = (P - γ * np.outer(Px, Px)) / W
-    return theta
-
-
-GROUPS = RIVALS.paper_algorithm_groups
 MIDDLES = frozen_array((np.arange(CELLS) + 0.5) * WIDTH - REACH, (CELLS,), name="middles")  # m
 
 
@@ -145,14 +117,14 @@ MIDDLES = frozen_array((np.arange(CELLS) + 0.5) * WIDTH - REACH, (CELLS,), name=
 class CellMeans(FrozenArrays):
     """Weighted sums over samples; they add up in any order."""
 
-    sums: Annotated[FloatArray, GROUPS, CELLS]  # m, of R
-    counts: Annotated[FloatArray, GROUPS, CELLS]
+    sums: Annotated[FloatArray, RIVALS.paper_algorithm_groups, CELLS]  # m, of R
+    counts: Annotated[FloatArray, RIVALS.paper_algorithm_groups, CELLS]
     derivatives: Annotated[FloatArray, len(YAW_TARGETS) - 1, CELLS]  # m, of R by the logarithms of the parameters
 
     @classmethod
     def empty(cls) -> Self:
         """Return the sums over no sample."""
-        nothing = np.zeros((GROUPS, CELLS))
+        nothing = np.zeros((RIVALS.paper_algorithm_groups, CELLS))
         return cls(nothing, nothing, np.zeros((len(YAW_TARGETS) - 1, CELLS)))
 
     def added(self, motion: Motion, vehicle: VehicleParameters, weight: float) -> Self:
@@ -160,7 +132,7 @@ class CellMeans(FrozenArrays):
         keep = usable(motion)
         equations = regression(motion, vehicle)
         R, x = equations.yaw_targets[keep] / equations.yaw[keep, -1:], motion.displacement[keep]
-        groups = group_of(motion.block[keep], GROUPS)
+        groups = group_of(motion.block[keep], RIVALS.paper_algorithm_groups)
         sums, counts = self.sums.copy(), self.counts.copy()
         for group in np.unique(groups):
             mine = groups == group
@@ -216,7 +188,10 @@ class PaperAlgorithm:
 
     def init(self, parameters: EstimatorParameters) -> PaperState:
         """Return the state before any sample."""
-        b = 2 * self._half + 1
+        return self.before(parameters, 2 * self._half + 1)
+
+    def before(self, parameters: EstimatorParameters, b: int) -> PaperState:
+        """Return the state of b bins before any sample."""
         return PaperState(
             parameters,
             np.full((b, REGRESSORS), np.nan),
@@ -240,9 +215,9 @@ class PaperAlgorithm:
         output = yaw_output(motion, state.parameters.vehicle, V, keep)
         root = np.sqrt(weight)
         cells = state.cells.added(motion, state.parameters.vehicle, weight)
-        return self._recursed(replace(state, cells=cells), root * features, root * output, index)
+        return self.recursed(replace(state, cells=cells), root * features, root * output, index)
 
-    def _recursed(self, state: PaperState, features: FloatArray, output: FloatArray, index: IntArray) -> PaperState:
+    def recursed(self, state: PaperState, features: FloatArray, output: FloatArray, index: IntArray) -> PaperState:
         """Run the recursion of every bin over its samples (n,), in their order."""
         theta, covariance, squares = state.theta.copy(), state.covariance.copy(), state.squares.copy()
         count, waiting = state.count.copy(), state.waiting.copy()
@@ -270,7 +245,7 @@ class PaperAlgorithm:
         """Return R of the bins that have started, in the unbroken run around zero."""
         p = state.parameters.vehicle
         per_unit = -p.yaw_inertia * p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
-        run = run_around_middle(np.isfinite(state.theta[:, 2]) & (state.count > self.threshold + REGRESSORS))
+        run = run_around(np.isfinite(state.theta[:, 2]) & (state.count > self.threshold + REGRESSORS), self._half)
         samples = int(state.count.sum())
         if run.stop == self._half or run.stop - run.start < RIVALS.fewest_bins:
             text = f"fewer than {RIVALS.fewest_bins} bins around the centre have reached the threshold"

@@ -28,7 +28,7 @@ from estimation.estimators.interface import (
 from estimation.estimators.parameters import RIVALS
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
-from estimation.values.arrays import FloatArray, FrozenArrays
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.units import MILLIMETRE
 from estimation.values.windows import Motion
@@ -112,14 +112,10 @@ class SeriesFit(ABC):
 
     def result(self, state: SeriesState) -> CurveEstimate:
         """Return the curve where there are data, its intervals from groups left out and parameters shifted."""
-        span = covered_range(state.counts)
-        if isinstance(span, Reason):
-            return nothing(span, state.parameters, state.samples, state.stretches)
-        present = np.flatnonzero(np.trace(state.gram, axis1=1, axis2=2) > 0)
-        if len(present) < RIVALS.fewest_groups:  # what is left without one of them may not determine the functions
-            return nothing(too_few_blocks(len(present)), state.parameters, state.samples, state.stretches)
-        low, high = span
-        x = np.linspace(low, high, round((high - low) / RIVALS.curve_spacing) + 1)
+        given = where_given(state.counts, state.gram)
+        if isinstance(given, Reason):
+            return nothing(given, state.parameters, state.samples, state.stretches)
+        x, present = given
         gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
         small = _small(gram, self.ridge)
         theta = np.linalg.solve(gram + small, cross[:, 0])
@@ -148,6 +144,16 @@ def shifts(state: SeriesState, functions: FloatArray, ridge: float) -> FloatArra
 def misfit(state: SeriesState, x: FloatArray, value: FloatArray) -> FloatArray:
     """Return what the curve cannot follow (n,), m: by how much the mean of R is above it, cell by cell."""
     return beside(x, value, state.sums[0], state.counts)
+
+
+def where_given(counts: FloatArray, sums: FloatArray) -> tuple[FloatArray, IntArray] | Reason:
+    """Return where the curve is given (n,), m, and the groups whose sums (g, m, m) hold data; or why it is nowhere."""
+    span, present = covered_range(counts), np.flatnonzero(np.trace(sums, axis1=1, axis2=2) != 0.0)
+    if isinstance(span, Reason):
+        return span
+    if len(present) < RIVALS.fewest_groups:  # what is left without one of them may not determine the functions
+        return too_few_blocks(len(present))
+    return np.linspace(*span, round((span[1] - span[0]) / RIVALS.curve_spacing) + 1), present
 
 
 def _small(gram: FloatArray, ridge: float) -> FloatArray:
@@ -186,13 +192,11 @@ class KnownIrregularity:
 
     def result(self, state: SeriesState) -> CurveEstimate:
         """Return the straight line; nothing where the moments do not tell the creep coefficient."""
-        span = covered_range(state.counts)
-        present = np.flatnonzero(np.trace(state.gram, axis1=1, axis2=2) > 0)
-        reason = span if isinstance(span, Reason) else _refusal(state, len(present))
-        if isinstance(span, Reason) or reason is not None:
-            assert reason is not None  # it is ``span``
-            return nothing(reason, state.parameters, state.samples, state.stretches)
-        x = np.linspace(*span, round((span[1] - span[0]) / RIVALS.curve_spacing) + 1)
+        given = where_given(state.counts, state.gram)
+        given = given if isinstance(given, Reason) else _refusal(state) or given
+        if isinstance(given, Reason):
+            return nothing(given, state.parameters, state.samples, state.stretches)
+        x, present = given
         gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
         theta = np.linalg.solve(gram, cross)
         value = _line(x, theta[:, 0])
@@ -200,7 +204,7 @@ class KnownIrregularity:
         of_yaw = state.parameters.uncertainty.yaw()
         changes = theta[:, 1:] * np.array([of_yaw[YAW_TARGETS.index(name) - 1] for name in TARGETS])
         variance = (state.squares - theta[:, 0] @ cross[:, 0]) / max(state.counts.sum() - UNKNOWNS, 1.0)
-        own = np.linalg.cholesky(np.linalg.inv(gram)) * np.sqrt(max(variance, 0.0))
+        roots = np.linalg.cholesky(np.linalg.inv(gram)) * np.sqrt(max(variance, 0.0))
         moment, rate = state.sums
         lever = state.parameters.vehicle.half_contact_distance / state.parameters.vehicle.nominal_radius
         of_cell = -(moment / theta[0, 0] + rate) / lever
@@ -208,8 +212,8 @@ class KnownIrregularity:
         on_file = state.parameters.vehicle.longitudinal_creep_coefficient
         creep_differs = value * (theta[0, 0] / on_file)
         shifted = np.array([*(_line(x, theta[:, 0] + change) for change in changes.T), unfollowed, creep_differs])
-        without = np.array([_line(x, one) for one in left_out])
-        stated = np.array([_line(x, theta[:, 0] + one) - value for one in own.T])
+        without = np.array([_line(x, coefficients) for coefficients in left_out])
+        stated = np.array([_line(x, theta[:, 0] + root) - value for root in roots.T])
         curve = Replicates(x, value, without, shifted, state.samples, state.stretches, stated)
         return curve_estimate(curve, state.parameters)
 
@@ -226,9 +230,7 @@ def equations(motion: Motion, vehicle: VehicleParameters) -> tuple[FloatArray, F
     return features, np.column_stack([without_creep, of_yaw[:, columns]])
 
 
-def _refusal(state: SeriesState, groups: int) -> Reason | None:
-    if groups < RIVALS.fewest_groups:
-        return too_few_blocks(groups)
+def _refusal(state: SeriesState) -> Reason | None:
     gram = state.gram.sum(axis=0)
     size = np.sqrt(np.diag(gram))
     eigenvalues = np.linalg.eigvalsh(gram / np.outer(size, size))

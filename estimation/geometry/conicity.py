@@ -102,7 +102,7 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
     nonlinearity = _nonlinearity(amplitude, values, groups, curve.count, parameters)
     crossing = Estimate.unknown(NO_OFFSET, curve.count)
     if not curve.band_limited:
-        crossing = _estimate(np.array([zero_crossing(*row) for row in rows]), groups, curve.count, NO_ZERO)
+        crossing = estimate_of(np.array([zero_crossing(*row) for row in rows]), groups, curve.count, NO_ZERO)
     centre = None if at_reference.value is None else _centre(rows[0], curve, reported_amplitude, at_reference.value)
     return CurveEstimates(amplitude, conicity, reported_amplitude, at_reference, nonlinearity, crossing, centre)
 
@@ -136,7 +136,7 @@ def _nonlinearity(
     systematic_rows, share = slice(groups + 1, None), parameters.independent_share
     errors = share * np.concatenate([high[systematic_rows] - high[0], low[systematic_rows] - low[0]])
     differences = np.concatenate([high[: groups + 1] - low[: groups + 1], high[0] - low[0] + errors])
-    return _estimate(per_mm * differences, groups, count, not_covered(ends[1]))
+    return estimate_of(per_mm * differences, groups, count, not_covered(ends[1]))
 
 
 def _run_around_zero(curve: CurveReplicates, parameters: CurveParameters) -> BoolArray | None:
@@ -144,11 +144,15 @@ def _run_around_zero(curve: CurveReplicates, parameters: CurveParameters) -> Boo
     centre = int(np.argmin(np.abs(curve.edges[:-1] + curve.edges[1:])))
     if not usable[centre]:
         return None
-    left = centre - int(np.argmin(np.append(usable[centre::-1], False)))
-    right = centre + int(np.argmin(np.append(usable[centre:], False)))
     run = np.zeros(len(usable), dtype=np.bool_)
-    run[left + 1 : right] = True
+    run[run_around(usable, centre)] = True
     return run if run.sum() >= parameters.fewest_nodes else None
+
+
+def run_around(enough: BoolArray, centre: int) -> slice:
+    """Return the unbroken run of (n,) on both sides of the begin of ``centre``; it ends there on a side with none."""
+    behind = centre + int(np.argmin(np.append(enough[centre:], False)))
+    return slice(centre - int(np.argmin(np.append(enough[:centre][::-1], False))), behind)
 
 
 def _rows(
@@ -235,12 +239,13 @@ def _systematic(
     )
 
 
-def _estimate(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:
+def estimate_of(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:
+    """Return one number with its interval from replicates (1 + groups + p,): all, less groups, parameters shifted."""
     if not np.isfinite(values).all():
         return Estimate.unknown(reason, count)
-    jackknife = float(jackknife_std(values[: groups + 1]))
+    jackknife = float(jackknife_std(values[: groups + 1])) if groups else 0.0
     systematic = float(np.sqrt(((values[groups + 1 :] - values[0]) ** 2).sum()))
-    return with_interval(float(values[0]), jackknife, systematic, groups, count)
+    return with_interval(float(values[0]), jackknife, systematic, max(groups, 2), count)
 
 
 def _conicity(values: FloatArray, groups: int, count: float, amplitude: float, parameters: CurveParameters) -> Estimate:
@@ -248,7 +253,7 @@ def _conicity(values: FloatArray, groups: int, count: float, amplitude: float, p
     if np.isfinite(values[: groups + 1]).all() and np.isinf(values).any():
         text = f"the data leave the conicity at {1e3 * amplitude:g} mm open: the scale of y - d is not known"
         return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), count)
-    estimate = _estimate(values, groups, count, not_covered(amplitude))
+    estimate = estimate_of(values, groups, count, not_covered(amplitude))
     if estimate.value is None or estimate.high is None or estimate.std is None:
         return estimate
     if estimate.std <= max(PRIORS.largest_conicity_std, parameters.largest_share * estimate.value):

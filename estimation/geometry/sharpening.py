@@ -78,7 +78,6 @@ class SharpeningParameters:
 
 
 SHARPENING = SharpeningParameters()
-STEPS = SHARPENING.search_steps
 SLOPES = SHARPENING.held_slopes
 
 
@@ -166,7 +165,12 @@ def nodes_of(shape: FloatArray) -> FloatArray:
 
 
 def sharpen(
-    low: FloatArray, high: FloatArray, nodes: FloatArray, std: FloatArray, longest: float, steps: int = STEPS
+    low: FloatArray,
+    high: FloatArray,
+    nodes: FloatArray,
+    std: FloatArray,
+    longest: float,
+    steps: int = SHARPENING.search_steps,
 ) -> Sharpening:
     """Return how to take away the longest blur up to ``longest`` that the nodes allow.
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from estimation.alerts.identity import (
+    EVEN,
     IDENTITY_EVENT,
     JUMP,
     IdentityEvent,
@@ -19,6 +20,7 @@ from estimation.alerts.identity import (
     identity_events,
     jumps,
 )
+from estimation.alerts.parameters import FINDINGS
 from estimation.alerts.rules.rule import latest_run, raised_at
 from estimation.alerts.rules.running_gear import SuspensionChangeRule, suspension_change_finding
 from estimation.alerts.rules.sensor_data import IdentityRule
@@ -27,7 +29,7 @@ from estimation.jobs.parameters import JOBS
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.assumptions import identity_changes
 from estimation.storage import UnitOfWork
-from estimation.trend.suspension import SuspensionParameters, suspension_histories
+from estimation.trend.suspension import RATIO, SuspensionParameters, suspension_histories
 from estimation.values.alerts import Finding
 from estimation.values.geometry import GEOMETRY, GeometryRecord
 from estimation.values.runs import EVERYTHING, Facet, SubjectKind
@@ -41,6 +43,7 @@ from estimation.values.trend import (
 )
 
 CALM, SINCE = "calm", "since"
+NUMBERS = (FINDINGS, EVEN)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +68,7 @@ def load_jumps(unit: UnitOfWork, serials: Sequence[str], context: JobContext) ->
     looks = {}
     for wheelset in wheelsets:
         serial, stored = wheelset.serial, before.get(wheelset.serial, {})
-        since = made_from(len(wheelset.reprofilings), changes.get(serial), parameters, context.code_version)
+        since = made_from(len(wheelset.reprofilings), changes.get(serial), parameters, NUMBERS, context.code_version)
         calm = stored[CALM] if stored.get(SINCE) == since else None
         assert calm is None or isinstance(calm, int)
         if stored or numbers.get(serial):
@@ -176,6 +179,7 @@ JUMPS = Stage(
     load=load_jumps,
     compute=look_for_jump,
     counted=Counted(looked="looked_at", changed="changed"),
+    numbers=NUMBERS,
     results=JUMP,
     here=True,
 )
@@ -188,6 +192,7 @@ IDENTITIES = Stage(
     load=load_identities,
     compute=compare,
     counted=Counted(looked="looked_at", changed="changed"),
+    numbers=NUMBERS,
     results=IDENTITY_EVENT,
     together=True,
     # a jump names the geometries that it is in; those of the calm say nothing
@@ -249,6 +254,7 @@ SUSPENSIONS = Stage(
     load=load,
     compute=compute,
     counted=Counted(looked="looked_at", changed="changed"),
+    numbers=(RATIO,),
     results=SUSPENSION,
     together=True,
     here=True,

@@ -23,10 +23,12 @@ from estimation.jobs.steps.wheelset_facts import facts_of
 from estimation.jobs.work import Isolation
 from estimation.storage import UnitOfWork
 from estimation.trend.now import SCALE
+from estimation.trend.parameters import CURVES
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Finding, Transition
 from estimation.values.geometry import GEOMETRY
 from estimation.values.runs import Facet, SubjectKind
 from estimation.values.trend import TREND
+from estimation.values.windows import SUSTAINED
 from estimation.worklist.stored import FACETS, FORM, STAGE
 
 
@@ -275,12 +277,13 @@ ALERTS = Stage(
         *(Facet.REGISTRY, Facet.WINDOWS, Facet.ALERTS, Facet.RESTARTS, GEOMETRY.stage, Facet.BESIDE),
         *(TREND.stage, IDENTITY_EVENT.stage),
     ),
-    settings=lambda settings: (settings.trend, settings.rules.version, FINDINGS, SCALE),
+    settings=lambda settings: (settings.trend, settings.rules.version),
     load=load,
     compute=compute,
     counted=Counted(
         looked="wheelsets", changed=CHANGED, same=AT_REST, more=tuple(kind.value for kind in AlertEventKind)
     ),
+    numbers=(FINDINGS, CURVES, SCALE, SUSTAINED),
     store=partial(store, raises=_Raises()),
     here=True,  # where what is to be raised is brought together
 )

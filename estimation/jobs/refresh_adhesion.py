@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 from estimation.adhesion.creep_forces import FrictionParameters
 from estimation.adhesion.friction import section_adhesion, touched
+from estimation.adhesion.parameters import FORCES
 from estimation.alerts.rule_book import section_changes
 from estimation.alerts.rules.running_gear import LowAdhesionRule
 from estimation.dampers.damper import DamperParameters, gear_damper
@@ -47,9 +48,11 @@ from estimation.values.opinions import (
     part_of_gear,
 )
 from estimation.values.runs import Facet, SubjectKind
+from estimation.values.sums import SUMS
 from estimation.values.windows import WindowKey, WindowMark, WindowState, key_of_text, text_of_key
 
 JOB_NAME = "refresh_adhesion"
+FRICTION_NUMBERS = (FORCES, SUMS)
 BESIDE = {"wheelsets", "looks", "results"}  # counts of stages that are no counts of the job
 
 
@@ -164,7 +167,8 @@ def _of_section(
     starts, limits = {start_ns for _, start_ns in due}, ""
     newest_ns = max([*starts, *([] if before is None else [before[0]])], default=None)
     if newest_ns is not None:
-        limits = made_from(rule.pooled_hours, length_m, _span(unit, section, newest_ns, rule).parameters)
+        parameters = _span(unit, section, newest_ns, rule).parameters
+        limits = made_from(*FRICTION_NUMBERS, rule.pooled_hours, length_m, parameters)
     if before is not None and before[1] != limits:
         starts.update(unit.adhesion.starts_with_sums(section, 0, before[0]))
     ends = pool_ends(starts, pooled_ns(rule))
@@ -271,10 +275,11 @@ OF_VEHICLES = Stage(
     job=JOB_NAME,
     kind=SubjectKind.VEHICLE,
     facets=(CREEP,),
-    settings=lambda _: (DamperParameters(), DAMPING),
+    settings=lambda _: None,
     load=load_dampers,
     compute=judge_dampers,
     counted=Counted(looked="looks", changed="results"),
+    numbers=(DAMPING, SUMS),
     results=GEAR_DAMPERS,
     store=forget_windows,
 )
@@ -287,6 +292,7 @@ OF_SECTIONS = Stage(
     load=load_friction,
     compute=find_friction,
     counted=Counted(looked="looks", changed="results", more=("sections", "low", "estimated_again")),
+    numbers=FRICTION_NUMBERS,
     store=store_friction,
     at_once=4,
 )

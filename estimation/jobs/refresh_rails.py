@@ -292,7 +292,7 @@ def _sections(apart: RailsApart, profile: str, parameters: RailsParameters) -> M
         periods[rail.rail.section].append(rail)
     findings = {}
     for section, parts in sorted(periods.items()):
-        newest = reported(parts[-1].excess, apart.amplitude, parameters.limit_amplitude)
+        newest = reported(parts[-1].excess, apart.amplitude, parameters)
         excess, amplitude = (None, None) if newest is None else newest
         findings[section] = RailsFinding(
             amplitude=tuple(apart.amplitude.tolist()),

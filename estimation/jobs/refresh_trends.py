@@ -12,6 +12,7 @@ from estimation.jobs.runner import run
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.assumptions import identity_changes
 from estimation.storage import UnitOfWork
+from estimation.trend.change_point import CONICITY
 from estimation.trend.extrapolation import conicity_points
 from estimation.trend.parameters import CURVES
 from estimation.trend.trend import TrendParameters, behind_step, newest_step, refresh, with_step
@@ -21,7 +22,8 @@ from estimation.values.runs import Facet
 from estimation.values.trend import TREND as TRENDS
 from estimation.values.trend import WearTrend, baseline_part, since_change
 
-METHOD = made_from(CURVES)[:16]
+NUMBERS = (CURVES, CONICITY)
+METHOD = made_from(*NUMBERS)[:16]
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +108,11 @@ TREND = Stage(
     job="refresh_trends",
     kind=TRENDS.subject,
     facets=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage),
-    settings=lambda settings: (METHOD, settings.trend, settings.rules.version),
+    settings=lambda settings: (settings.trend, settings.rules.version),
     load=load,
     compute=compute,
     counted=Counted(looked="wheelsets", changed="refreshed", same="unchanged", more=("without_limit",)),
+    numbers=NUMBERS,
     results=TRENDS,
     at_once=32,
     here=True,

@@ -244,7 +244,7 @@ class _Working:
         """Return what came of a subject; ``compute`` is not called where its inputs are those of before."""
         if inputs is None:
             return _Made("", Outcome())
-        digest = made_from(self.context.code_version, inputs)
+        digest = made_from(self.context.code_version, self.stage.numbers, inputs)
         if digest == state.made_from:
             return _Made(digest, None)
         outcome = self.stage.compute(inputs)

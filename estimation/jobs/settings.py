@@ -27,6 +27,7 @@ from estimation.track.parameters import TRACK
 from estimation.track.settings import AlignmentSettings
 from estimation.trend.trend import TrendParameters
 from estimation.values.fields import JsonValue
+from estimation.values.windows import SUSTAINED
 from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import VehicleClass
 
@@ -51,7 +52,7 @@ class RailsSettings:
 
 # numbers that no deployment sets, and that stand beside what they steer or in ``parameters.py`` of its folder
 METHOD_NUMBERS = (
-    *(MOTION, BLOWS, AXLES, HUNTS, FUSED, FILTERS, PRIORS, SHARPENING, ROLLING),
+    *(MOTION, BLOWS, AXLES, HUNTS, FUSED, FILTERS, PRIORS, SHARPENING, ROLLING, SUSTAINED),
     *(PROFILES, VEHICLE, TRACK, WHEELS, JOBS),
 )
 METHOD = hashlib.sha256(repr(METHOD_NUMBERS).encode()).hexdigest()[:16]

@@ -164,6 +164,7 @@ class Stage(Generic[I, V]):
     # gets the inputs and nothing else. A part that it does not return keeps its former result
     compute: Callable[[I], Outcome[V]]
     counted: Counted
+    numbers: tuple[object, ...] = ()  # parameters that no deployment sets: with others, all subjects are computed again
     results: ResultKind[V] | None = None  # how what it computes is stored; None where ``store`` does all
     # stores what is more than results, of what was loaded, in the same transaction; returns what it counted
     store: Callable[[UnitOfWork, JobContext, Mapping[str, tuple[I, Outcome[V]]]], Mapping[str, int]] | None = None
@@ -191,7 +192,7 @@ class Stage(Generic[I, V]):
     def inputs(self, context: JobContext) -> StageInputs:
         """Return what the stage is made from, with these settings and this version of the numerics."""
         settings = self.settings(context.settings)
-        common = str(settings) if self.inline else made_from(self.facets, settings, context.code_version)
+        common = str(settings) if self.inline else made_from(self.facets, settings, self.numbers, context.code_version)
         return StageInputs(self.name, self.kind, self.facets, common, self.together, self.inline)
 
 

@@ -95,19 +95,14 @@ def find_hunting(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interv
     blocks = (len(lateral) // size, size)
     lateral, yaw, speed = (signal[: blocks[0] * size].reshape(blocks) for signal in (lateral, yaw, speed))
     fast = np.nan_to_num(np.mean(speed, axis=1))
-    at = np.flatnonzero(fast_enough(fast, HUNTS.least_speed))
-    running = len(at)
-    found = []
-    for block in at[_may_hunt(lateral[at], yaw[at], fast[at], interval_s)]:
-        line = _line(lateral[block], yaw[block], float(fast[block]), interval_s)
-        if line is not None and line.hunts:
-            found.append(line)
-    if not found:
+    running = np.flatnonzero(fast_enough(fast, HUNTS.least_speed))
+    likely = running[_may_hunt(lateral[running], yaw[running], fast[running], interval_s)]
+    lines = (_line(lateral[block], yaw[block], float(fast[block]), interval_s) for block in likely)
+    hunting = [(line.frequency_hz, line.amplitude) for line in lines if line is not None and line.hunts]
+    if not hunting:
         return NOT_HUNTING
-    frequency, amplitude = (
-        float(np.median([getattr(line, n) for line in found])) for n in ("frequency_hz", "amplitude")
-    )
-    return Hunting(len(found) / running, frequency, amplitude)
+    frequency, amplitude = np.median(hunting, axis=0).tolist()
+    return Hunting(len(hunting) / len(running), frequency, amplitude)
 
 
 def _may_hunt(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interval_s: float) -> BoolArray:
@@ -116,9 +111,9 @@ def _may_hunt(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interval_
     enough = known.mean(axis=1) >= HUNTS.least_known_share
     if not known.all():
         lateral = lateral.copy()
-        at = np.arange(lateral.shape[1])
+        number = np.arange(lateral.shape[1])
         for block in np.flatnonzero(enough & ~known.all(axis=1)):
-            lateral[block] = np.interp(at, at[known[block]], lateral[block, known[block]])
+            lateral[block] = np.interp(number, number[known[block]], lateral[block, known[block]])
         lateral[~enough] = 0.0
     window, square = _window(lateral.shape[1])
     spectra = np.fft.rfft((lateral - lateral.mean(axis=1, keepdims=True)) * window)
@@ -132,7 +127,7 @@ def may_hunt(spectra: npt.NDArray[np.complex128], speed: FloatArray, frequency: 
 
     Those that are within :data:`DOUBT` of a limit are among them, and those whose strongest line is not clear.
     """
-    found = np.zeros(len(speed), np.bool_)
+    may_be = np.zeros(len(speed), np.bool_)
     power = np.zeros(len(frequency) + 2)  # of the displacement; one more on either side
     for block in range(len(speed)):
         slowest, fastest = max(LEAST_FREQUENCY, speed[block] / LONGEST), speed[block] / SHORTEST
@@ -140,8 +135,8 @@ def may_hunt(spectra: npt.NDArray[np.complex128], speed: FloatArray, frequency: 
             omega, a = 2.0 * np.pi * frequency[k], spectra[block, k]
             inside = slowest <= frequency[k] <= fastest
             power[k + 1] = (a.real**2 + a.imag**2) / omega**4 if inside else 0.0
-        found[block] = line_may_hunt(power, frequency, scale)
-    return found
+        may_be[block] = line_may_hunt(power, frequency, scale)
+    return may_be
 
 
 @compiled(nogil=True)
@@ -156,21 +151,21 @@ def line_may_hunt(power: FloatArray, frequency: FloatArray, scale: float) -> boo
         if power[k] + power[k + 1] + power[k + 2] >= best * (1.0 - DOUBT):
             peak = frequency[k]
             strongest += 1
-    own = moment = square = 0.0
+    of_line = moment = square = 0.0
     for k in range(len(frequency)):
         if LINE[0] * peak < frequency[k] < LINE[1] * peak:
-            own += power[k + 1]
+            of_line += power[k + 1]
             moment += power[k + 1] * (frequency[k] - peak)
             square += power[k + 1] * (frequency[k] - peak) ** 2
-    if strongest != 1 or not own > 0.0:
+    if strongest != 1 or not of_line > 0.0:
         return total > 0.0
-    off = moment / own
-    amplitude, share = np.sqrt(4.0 * own / scale) * (1.0 + DOUBT), own / total * (1.0 + DOUBT)
-    width = np.sqrt(max(square / own - off**2, 0.0)) / (peak + off) - DOUBT
-    found = False
+    off = moment / of_line
+    amplitude, share = np.sqrt(4.0 * of_line / scale) * (1.0 + DOUBT), of_line / total * (1.0 + DOUBT)
+    width = np.sqrt(max(square / of_line - off**2, 0.0)) / (peak + off) - DOUBT
+    hunts = False
     for limits in (STEADY, FLANGE_TO_FLANGE):
-        found = found or (amplitude >= limits[0] and share >= limits[1] and width <= limits[2])
-    return found
+        hunts = hunts or (amplitude >= limits[0] and share >= limits[1] and width <= limits[2])
+    return hunts
 
 
 @cache
@@ -184,9 +179,9 @@ def _line(lateral: FloatArray, yaw: FloatArray, speed: float, interval_s: float)
     known = np.isfinite(lateral) & np.isfinite(yaw)
     if known.mean() < HUNTS.least_known_share:
         return None
-    at = np.arange(len(lateral))
+    number = np.arange(len(lateral))
     window, window_power = _window(len(lateral))
-    both = [np.interp(at, at[known], signal[known]) for signal in (lateral, yaw)]
+    both = [np.interp(number, number[known], signal[known]) for signal in (lateral, yaw)]
     a, b = (np.fft.rfft((signal - signal.mean()) * window) for signal in both)
     frequency = np.fft.rfftfreq(len(lateral), interval_s)
     slowest = max(LEAST_FREQUENCY, speed / LONGEST)
@@ -198,20 +193,20 @@ def _line(lateral: FloatArray, yaw: FloatArray, speed: float, interval_s: float)
     power = np.abs(y) ** 2
     peak = frequency[int(np.argmax(np.convolve(power, np.ones(3), "same")))]
     line = inside & (frequency > LINE[0] * peak) & (frequency < LINE[1] * peak)
-    total, own = float(power.sum()), power[line]
+    total, of_line = float(power.sum()), power[line]
     if total <= 0.0:
         return None
-    middle = float(own @ frequency[line] / own.sum())
+    middle = float(of_line @ frequency[line] / of_line.sum())
     cross = complex(np.vdot(y[line], turned[line]))
     other = float((np.abs(turned[line]) ** 2).sum())
     return _Line(
         frequency_hz=middle,
-        amplitude=float(np.sqrt(4.0 * own.sum() / window_power / len(lateral))),
-        share=float(own.sum()) / total,
-        width=float(np.sqrt(own @ (frequency[line] - middle) ** 2 / own.sum())) / middle,
-        coherence=abs(cross) / float(np.sqrt(own.sum() * other)) if other > 0.0 else 0.0,
+        amplitude=float(np.sqrt(4.0 * of_line.sum() / window_power / len(lateral))),
+        share=float(of_line.sum()) / total,
+        width=float(np.sqrt(of_line @ (frequency[line] - middle) ** 2 / of_line.sum())) / middle,
+        coherence=abs(cross) / float(np.sqrt(of_line.sum() * other)) if other > 0.0 else 0.0,
         phase=float(np.angle(cross)),
-        gain=abs(cross) / float(own.sum()),
+        gain=abs(cross) / float(of_line.sum()),
     )
 
 

@@ -28,20 +28,20 @@ def implausible_mileages(
 ) -> Mapping[int, Reason]:
     """Return by start of window why its mileage is not believed; those that are not in it are."""
     km_per_ns = MOTION.speed_slack_factor * max_speed_m_s / 1000.0 / SECOND_NS
-    found: dict[int, Reason] = {}
-    left = []
-    for reading in sorted(readings, key=lambda one: one.start_ns):
+    reasons: dict[int, Reason] = {}
+    rest = []
+    for reading in sorted(readings, key=lambda item: item.start_ns):
         reason = _alone(reading, mounting, km_per_ns)
         if reason is None:
-            left.append(reading)
+            rest.append(reading)
         else:
-            found[reading.start_ns] = reason
-    believed = {reading.start_ns for reading in _believed(left, km_per_ns)}
+            reasons[reading.start_ns] = reason
+    believed = {reading.start_ns for reading in _believed(rest, km_per_ns)}
     out_of_line = Reason(
         ReasonCode.ODOMETER_IMPLAUSIBLE,
         "the odometer does not go with that of the vehicle's other windows: it fell, or rose faster than it can",
     )
-    return found | {one.start_ns: out_of_line for one in left if one.start_ns not in believed}
+    return reasons | {item.start_ns: out_of_line for item in rest if item.start_ns not in believed}
 
 
 def without_doubt(readings: Sequence[MileageReading], mounting: Mounting, max_speed_m_s: float) -> bool:
@@ -51,7 +51,7 @@ def without_doubt(readings: Sequence[MileageReading], mounting: Mounting, max_sp
     km_per_ns = MOTION.speed_slack_factor * max_speed_m_s / 1000.0 / SECOND_NS
     ordered = sorted(readings, key=lambda reading: reading.start_ns)
     return all(_follows(*pair, km_per_ns) for pair in pairwise(ordered)) and all(
-        _alone(one, mounting, km_per_ns) is None for one in ordered
+        _alone(item, mounting, km_per_ns) is None for item in ordered
     )
 
 
@@ -86,18 +86,18 @@ def _believed(readings: Sequence[MileageReading], km_per_ns: float) -> Sequence[
     if all(_follows(*pair, km_per_ns) for pair in pairwise(readings)):
         return readings
     chain = _longest_chain(readings, km_per_ns)
-    before = [one for one in readings if one.start_ns < chain[0].start_ns]
+    before = [item for item in readings if item.start_ns < chain[0].start_ns]
     if before and _journeys(_longest_chain(before, km_per_ns)) >= MOTION.agreeing_journeys:
         return _believed(before, km_per_ns)
-    members = {one.start_ns for one in chain}
+    members = {item.start_ns for item in chain}
     run: list[MileageReading] = []  # in a row that are not in the chain
-    for at, reading in enumerate(readings):
+    for number, reading in enumerate(readings):
         if reading.start_ns not in members:
             run.append(reading)
             continue
         tail = _led_here([*run, reading], km_per_ns)
         if run and tail[0].start_ns > chain[0].start_ns and _journeys(tail[:-1]) >= MOTION.agreeing_journeys:
-            return _believed(readings[: at + 1 - len(tail)], km_per_ns)  # another odometer, that caught up
+            return _believed(readings[: number + 1 - len(tail)], km_per_ns)  # another odometer, that caught up
         run = []
     return chain
 
@@ -126,11 +126,11 @@ def _longest_chain(readings: Sequence[MileageReading], km_per_ns: float) -> list
     last: list[int] = []
     previous: dict[int, int] = {}
     for i in order:
-        at = bisect_right(least, not_run[i])
-        if at:
-            previous[i] = last[at - 1]
-        least[at : at + 1] = [not_run[i]]
-        last[at : at + 1] = [i]
+        length = bisect_right(least, not_run[i])
+        if length:
+            previous[i] = last[length - 1]
+        least[length : length + 1] = [not_run[i]]
+        last[length : length + 1] = [i]
     chain = [last[-1]]
     while chain[-1] in previous:
         chain.append(previous[chain[-1]])
@@ -145,17 +145,17 @@ def _journeys(readings: Sequence[MileageReading]) -> int:
 def running_mileage(windows: Sequence[WindowRecord]) -> list[float]:
     """Return the mileage, km, never decreasing, of each window of a wheelset between two reprofilings, oldest first."""
     # where the odometer made no impossible step it is the mileage as stored, bit for bit
-    at, found = first_reading(windows), []
+    odometer, mileages = first_reading(windows), []
     for window in windows:
-        at = read(at, window)
-        found.append(at.last_km)
-    return found
+        odometer = read(odometer, window)
+        mileages.append(odometer.last_km)
+    return mileages
 
 
 def first_reading(windows: Iterable[WindowRecord]) -> Odometer:
     """Return where the chain of mileages begins that has no window before these, which are in order."""
-    known = (known_mileage(window.mileage_km) for window in windows)
-    first = next((value for value in known if math.isfinite(value)), 0.0)
+    mileages = (known_mileage(window.mileage_km) for window in windows)
+    first = next((value for value in mileages if math.isfinite(value)), 0.0)
     return Odometer(last=first, last_km=first, last_ns=0)
 
 
@@ -164,18 +164,18 @@ def known_mileage(stored_km: float) -> float:
     return stored_km if abs(stored_km) <= MOTION.most_mileage_km else math.nan
 
 
-def read(at: Odometer, window: WindowRecord) -> Odometer:
+def read(before: Odometer, window: WindowRecord) -> Odometer:
     """Return where the chain of mileages stands after a window; without a reading it says nothing."""
     # it depends on nothing but the last window with a reading, its mileage as stored and as run: so the chain goes on
     # from any window of which both are kept
     stored = known_mileage(window.mileage_km)
     if math.isnan(stored):
-        return at
-    step, most = stored - at.last, most_km((window.start_ns - at.last_ns) / SECOND_NS)
+        return before
+    step, most = stored - before.last, most_km((window.start_ns - before.last_ns) / SECOND_NS)
     if 0.0 <= step <= most:
         # rounded twice where the odometer was exchanged once; it never goes back
-        return Odometer(stored, max(at.last_km, stored + (at.last_km - at.last)), window.start_ns)
-    return Odometer(stored, at.last_km + min(max(step, 0.0), most), window.start_ns)
+        return Odometer(stored, max(before.last_km, stored + (before.last_km - before.last)), window.start_ns)
+    return Odometer(stored, before.last_km + min(max(step, 0.0), most), window.start_ns)
 
 
 def most_km(seconds: float) -> float:

@@ -108,7 +108,7 @@ def struck(lateral: FloatArray, roll: FloatArray, interval_s: float, lost: BoolA
         return lost
     fast = np.abs(sharp(both, interval_s))
     std = vibration(fast, interval_s)
-    found = lost.copy()
+    spoilt = lost.copy()
     reach = max(round(BLOWS.ringing_reach_s / interval_s), 1)
     for signal, values, noise in zip(both, fast, std, strict=True):
         blows = values > np.maximum(BLOWS.least_blow_acceleration, BLOWS.least_blow_stds * noise)
@@ -119,9 +119,9 @@ def struck(lateral: FloatArray, roll: FloatArray, interval_s: float, lost: BoolA
         rest = np.abs(np.nan_to_num(signal) - motion)
         size = float(np.median(values[blows])) if blows.any() else BLOWS.least_blow_acceleration
         rings = near & (rest > np.maximum(BLOWS.ringing_stds * noise, BLOWS.ringing_share * size))
-        found |= binary_closing(rings | blows | lost, iterations=2)
+        spoilt |= binary_closing(rings | blows | lost, iterations=2)
     guard = max(round(BLOWS.guard_s / interval_s), 1)
-    return np.asarray(binary_dilation(found, iterations=guard) if found.any() else found)
+    return np.asarray(binary_dilation(spoilt, iterations=guard) if spoilt.any() else spoilt)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,9 +158,9 @@ def blows_unless_hunting(
 def find_turn_blows(lateral: FloatArray, roll: FloatArray, speed: FloatArray, interval_s: float) -> TurnBlows:
     """Return for how much of some running time a wheel strikes once a turn, how hard, and which."""
     blocks = list(_blocks(lateral, roll, speed, interval_s))
-    found = [(block.comb, block.events) for block in blocks if block.comb is not None]
-    turn = float(np.median([comb.turn for comb, _ in found])) if found else 0.0
-    alike = [(comb, events) for comb, events in found if abs(comb.turn / turn - 1.0) <= BLOWS.turn_tolerance]
+    striking = [(block.comb, block.events) for block in blocks if block.comb is not None]
+    turn = float(np.median([comb.turn for comb, _ in striking])) if striking else 0.0
+    alike = [(comb, events) for comb, events in striking if abs(comb.turn / turn - 1.0) <= BLOWS.turn_tolerance]
     if not alike:
         return NO_BLOWS
     lateral, roll = (
@@ -219,9 +219,9 @@ def _events(fast: FloatArray, std: FloatArray, interval_s: float, lost: BoolArra
         return _Events(none, none, none)
     first = np.concatenate([[0], np.flatnonzero(np.diff(over) > round(BLOWS.apart_s / interval_s)) + 1])
     groups = np.split(over, first[1:])
-    at = np.array([group[int(np.argmax(excess[group]))] for group in groups], np.int64)
+    largest = np.array([group[int(np.argmax(excess[group]))] for group in groups], np.int64)
     middle = np.array([np.average(group, weights=excess[group]) for group in groups])
-    return _Events(middle, fast[0, at], fast[1, at])
+    return _Events(middle, fast[0, largest], fast[1, largest])
 
 
 def _comb(events: FloatArray, run: float) -> _Comb | None:
@@ -238,13 +238,12 @@ def _comb(events: FloatArray, run: float) -> _Comb | None:
     best, where = np.unravel_index(int(np.argmax(pairs)), pairs.shape)
     on = (place[best] == where) | (place[best] == (where + 1) % places)
     turn = float(turns[best])
-    hit = np.unique(np.round((events[on] - events[on][0]) / turn))
-    tries = len(turns) * BLOWS.turn_places
-    chance = tries * float(betainc(on.sum(), len(events) - on.sum() + 1, 2.0 / BLOWS.turn_places))
-    few = len(hit) < BLOWS.least_turn_share * run / turn or on.sum() < BLOWS.least_event_share * len(events)
-    if few or chance > BLOWS.most_chance_count:
-        return None
     number = np.round((events[on] - events[on][0]) / turn)
+    tries = len(turns) * places
+    chance = tries * float(betainc(on.sum(), len(events) - on.sum() + 1, 2.0 / places))
+    few_turns = len(np.unique(number)) < BLOWS.least_turn_share * run / turn
+    if few_turns or on.sum() < BLOWS.least_event_share * len(events) or chance > BLOWS.most_chance_count:
+        return None
     fitted, first = np.polyfit(number, events[on], 1)
     return _Comb(float(fitted), float(first), np.asarray(on))
 
@@ -261,10 +260,10 @@ def without_blows(window: Window) -> Window:
         return window
     if window.quality.blows.share == 0.0:
         return replace(window, bridged=spoilt & window.valid)
-    at = blow_times(window.lateral_acceleration, window.roll_acceleration, window.speed, dt, lost)
+    times = blow_times(window.lateral_acceleration, window.roll_acceleration, window.speed, dt, lost)
     signals = np.stack([getattr(window, name) for name in ACCELERATIONS])
-    if len(at) >= BLOWS.fewest_blows:
-        signals = signals - turn_blows(signals, at, dt)
+    if len(times) >= BLOWS.fewest_blows:
+        signals = signals - turn_blows(signals, times, dt)
     valid = window.valid | lost
     for first, behind in runs(lost):
         _bridge(signals, window.valid, int(first), int(behind), round(BLOWS.bridge_support_s / dt))
@@ -274,43 +273,44 @@ def without_blows(window: Window) -> Window:
 
 def _short_gaps(window: Window, most: int) -> BoolArray:
     """Return the samples (n,) of gaps inside the window, up to ``most`` long, where speed and place are known."""
-    found = np.zeros(len(window.valid), np.bool_)
+    short = np.zeros(len(window.valid), np.bool_)
     for first, behind in runs(~window.valid):
         part = slice(int(first), int(behind))
-        inside = first > 0 and behind < len(found) and behind - first <= most
-        found[part] = inside and np.isfinite(window.speed[part]).all() and np.isfinite(window.distance[part]).all()
-    return found
+        inside = first > 0 and behind < len(short) and behind - first <= most
+        short[part] = inside and np.isfinite(window.speed[part]).all() and np.isfinite(window.distance[part]).all()
+    return short
 
 
 def _bridge(signals: FloatArray, known: BoolArray, first: int, behind: int, support: int) -> None:
     low = max(first - support, 0)
-    at = low + np.flatnonzero(known[low : behind + support])
+    beside = low + np.flatnonzero(known[low : behind + support])
     middle, half = 0.5 * (first + behind - 1), 0.5 * (behind - first) + support
-    terms = np.polynomial.polynomial.polyvander((at - middle) / half, 3)
-    found, *_ = np.linalg.lstsq(terms, signals[:, at].T, rcond=None)
+    terms = np.polynomial.polynomial.polyvander((beside - middle) / half, 3)
+    cubic, *_ = np.linalg.lstsq(terms, signals[:, beside].T, rcond=None)
     inside = np.polynomial.polynomial.polyvander((np.arange(first, behind) - middle) / half, 3)
-    signals[:, first:behind] = (inside @ found).T
+    signals[:, first:behind] = (inside @ cubic).T
 
 
-def turn_blows(signals: FloatArray, at: FloatArray, interval_s: float) -> FloatArray:
+def turn_blows(signals: FloatArray, times: FloatArray, interval_s: float) -> FloatArray:
     """Return what the blows of a flat are of signals (m, n), lateral, yaw and roll acceleration first; NaN: unknown."""
-    turn = float(np.median(np.diff(at))) * interval_s
+    turn = float(np.median(np.diff(times))) * interval_s
     longest_s = BLOWS.shape_before_s + BLOWS.shape_behind_s
     reach = min(longest_s, BLOWS.most_turn_share * turn) / longest_s
     knots = np.arange(-BLOWS.shape_before_s * reach, BLOWS.shape_behind_s * reach + BLOWS.knot_s, BLOWS.knot_s)
     index = np.arange(signals.shape[1])
-    number = np.clip(np.searchsorted(at, index + BLOWS.shape_before_s * reach / interval_s) - 1, 0, len(at) - 1)
-    since = (index - at[number]) * interval_s
+    number = np.searchsorted(times, index + BLOWS.shape_before_s * reach / interval_s) - 1
+    number = np.clip(number, 0, len(times) - 1)
+    since = (index - times[number]) * interval_s
     inside = (since >= knots[0]) & (since < knots[-1]) & np.isfinite(signals).all(axis=0)
     number, since, measured = number[inside], since[inside], signals[:, inside]
-    sizes, late = np.ones(len(at)), np.zeros(len(at))
+    sizes, late = np.ones(len(times)), np.zeros(len(times))
     shapes = np.zeros((len(signals), len(knots)))
     for _ in range(BLOWS.shape_rounds):
         shapes = _shapes(measured, since - late[number], sizes[number], knots)
         sizes, late = _fitted(measured, shapes, since, (sizes, late), number, knots)
-    found = np.zeros_like(signals)
-    found[:, inside] = _valued(shapes, since - late[number], knots) * sizes[number]
-    return found
+    blows = np.zeros_like(signals)
+    blows[:, inside] = _valued(shapes, since - late[number], knots) * sizes[number]
+    return blows
 
 
 def _shapes(measured: FloatArray, since: FloatArray, size: FloatArray, knots: FloatArray) -> FloatArray:
@@ -324,10 +324,10 @@ def _shapes(measured: FloatArray, since: FloatArray, size: FloatArray, knots: Fl
         np.add.at(right, low + first, (measured * (weight * size)).T)
         for second, other in ((0, 1.0 - upper), (1, upper)):
             np.add.at(gram, (low + first, low + second), weight * other * size**2)
-    found = np.linalg.solve(gram, right).T
+    shapes = np.linalg.solve(gram, right).T
     edge = max(len(knots) // 12, 1)
-    begin, end = found[:, :edge].mean(axis=1), found[:, -edge:].mean(axis=1)
-    return np.asarray(found - np.linspace(begin, end, len(knots)).T)
+    begin, end = shapes[:, :edge].mean(axis=1), shapes[:, -edge:].mean(axis=1)
+    return np.asarray(shapes - np.linspace(begin, end, len(knots)).T)
 
 
 def _valued(shapes: FloatArray, since: FloatArray, knots: FloatArray) -> FloatArray:
@@ -344,11 +344,11 @@ def _fitted(
 ) -> tuple[FloatArray, FloatArray]:
     """Return how large each blow (k,) is over the mean one and how late, s, by its lateral and roll acceleration."""
     sizes, late = before
-    lateral_and_roll = [0, 2]
-    at = since - late[number]
-    mean = _valued(shapes[lateral_and_roll], at, knots)
-    slope = -_valued(np.gradient(shapes[lateral_and_roll], BLOWS.knot_s, axis=1), at, knots) * sizes[number]
-    rest = measured[lateral_and_roll] - mean * sizes[number]
+    struck_axes = [0, 2]  # a blow hardly turns the wheelset
+    place = since - late[number]
+    mean = _valued(shapes[struck_axes], place, knots)
+    slope = -_valued(np.gradient(shapes[struck_axes], BLOWS.knot_s, axis=1), place, knots) * sizes[number]
+    rest = measured[struck_axes] - mean * sizes[number]
 
     def summed(values: FloatArray) -> FloatArray:
         return np.asarray(np.bincount(number, values.sum(axis=0), len(sizes)), np.float64)

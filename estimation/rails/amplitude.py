@@ -43,7 +43,7 @@ def checks(component: Component, wheel: ReferenceWheel, parameters: RailsParamet
     alone = part(replace(component.two_way, known_value=nothing), parameters)
     held = with_known(component.two_way, parameters, alone)
     usable = held.converged and refusal(component, alone, wheel, parameters) is None
-    serial, shared = component.table.serial[component.wheel], component.shared
+    serial, shared = component.table.serial[component.wheel], component.shared(parameters.least_conicity)
     by_serial = {}
     for number in np.unique(serial[measured]).tolist():
         wheels = np.flatnonzero(measured & (serial == number))
@@ -53,7 +53,7 @@ def checks(component: Component, wheel: ReferenceWheel, parameters: RailsParamet
 
 
 def _check(component: Component, held: Parted, wheels: IntArray, shared: float, parameters: RailsParameters) -> Check:
-    left, covariance = _left_out(component, held, wheels)
+    above, covariance = _left_out(component, held, wheels)
     variance = np.diag(covariance)
     if not ((variance > 0.0) & (variance < parameters.largest_conicity_variance)).all():
         return NOTHING
@@ -64,10 +64,10 @@ def _check(component: Component, held: Parted, wheels: IntArray, shared: float, 
     sampled = np.sqrt(1.0 / held.known_weight[wheels] + variance)
     systematic = shared * np.abs(value[wheels] - level)
     groups = 1 + max(1, int(held.freedom))
-    intervals = [with_interval(*row, groups) for row in zip(left.tolist(), sampled, systematic, strict=True)]
+    intervals = [with_interval(*row, groups) for row in zip(above.tolist(), sampled, systematic, strict=True)]
     half = np.array([(interval.high or 0.0) - (interval.value or 0.0) for interval in intervals])
-    worst = int(np.argmax(np.abs(left) / half))
-    return Check(float(left[worst]), float(half[worst]), float(np.sqrt(variance.max())))
+    worst = int(np.argmax(np.abs(above) / half))
+    return Check(float(above[worst]), float(half[worst]), float(np.sqrt(variance.max())))
 
 
 def _left_out(component: Component, held: Parted, wheels: IntArray) -> tuple[FloatArray, FloatArray]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from estimation.errors import ParameterError
 from estimation.rails.amplitude import NOT_COVERED, NOTHING, Check, at_amplitude, wheel_checks
 from estimation.rails.cell import Anchors, CellTable, cell_table, extent, grouped, sections_of, wheelsets_of
 from estimation.rails.component import Runs, islands
-from estimation.rails.parameters import RAILS, RailsParameters
+from estimation.rails.parameters import RailsParameters
 from estimation.rails.published import NEXT_TO_JUMP, AtAmplitude, TrendAt, on_rise
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import (
@@ -41,30 +42,31 @@ class _Witness(NamedTuple):
 
 def confirmed(table: CellTable, anchors: Anchors, parameters: RailsParameters) -> Anchors:
     """Return the anchors without those that contradict the others, and why."""
-    held, found = anchors, _all_apart(table, anchors, parameters)
+    held, checks = anchors, _all_apart(table, anchors, parameters)
     while True:
-        beyond = {one: by for one, by in found.items() if by.ratio > parameters.known_apart}
+        beyond = {witness: check for witness, check in checks.items() if check.ratio > parameters.known_apart}
         if not beyond:
             return held
-        order = sorted(beyond, key=lambda one: (-beyond[one].ratio, one))
-        together = _connected(order[0], sorted(found), table, held)
-        may_be = [one for place, one in enumerate(order) if place < parameters.tried_wheelsets or not one.is_wheelset]
-        tried = [together] if len(together) == parameters.pair_size else [[one] for one in may_be]
-        without = [held.without(*_reasons(some, together, beyond)) for some in tried]
-        left = [_all_apart(table, one, parameters) for one in without]
-        best = min(range(len(tried)), key=lambda at: max((one.ratio for one in left[at].values()), default=0.0))
-        held, found = without[best], left[best]
+        order = sorted(beyond, key=lambda witness: (-beyond[witness].ratio, witness))
+        together = _connected(order[0], sorted(checks), table, held)
+        may_be = [w for place, w in enumerate(order) if place < parameters.tried_wheelsets or not w.is_wheelset]
+        tried = [together] if len(together) == parameters.pair_size else [[witness] for witness in may_be]
+        without = [held.without(*_reasons(witnesses, together, beyond)) for witnesses in tried]
+        remaining = [(some, _all_apart(table, some, parameters)) for some in without]
+        held, checks = min(remaining, key=lambda pair: max((check.ratio for check in pair[1].values()), default=0.0))
 
 
 def _all_apart(table: CellTable, anchors: Anchors, parameters: RailsParameters) -> dict[_Witness, Check]:
-    known = sorted({key.section for key in table.rails if key in anchors.known_rails})
-    found = {_Witness(is_wheelset=False, name=one): _section_apart(one, table, anchors, parameters) for one in known}
+    sections = sorted({key.section for key in table.rails if key in anchors.known_rails})
+    checks = {
+        _Witness(is_wheelset=False, name=code): _section_apart(code, table, anchors, parameters) for code in sections
+    }
     for k in range(len(table.amplitude)) if anchors.known_wheels else ():
         for serial, check in wheel_checks(table, k, anchors, parameters).items():
-            one = _Witness(is_wheelset=True, name=serial)
-            if one not in found or check.ratio > found[one].ratio:
-                found[one] = check
-    return found
+            witness = _Witness(is_wheelset=True, name=serial)
+            if witness not in checks or check.ratio > checks[witness].ratio:
+                checks[witness] = check
+    return checks
 
 
 def _section_apart(section: str, table: CellTable, anchors: Anchors, parameters: RailsParameters) -> Check:
@@ -74,14 +76,14 @@ def _section_apart(section: str, table: CellTable, anchors: Anchors, parameters:
     others = replace(anchors, known_rails=frozenset(key for key in anchors.known_rails if key.section != section))
     if not others.known_rails and not others.known_wheels:
         return NOTHING
-    for k in np.flatnonzero(table.amplitude <= parameters.limit_amplitude + 1e-9)[::-1]:
+    for k in np.flatnonzero(table.amplitude <= parameters.limit_amplitude + parameters.same_amplitude)[::-1]:
         rails = at_amplitude(table, int(k), others, parameters).rails
-        own = [one for key, one in rails.items() if key.section == section and key in anchors.known_rails]
-        either = [one.excess if one.excess.value is not None else one.part for one in own if one.reference in HELD]
-        known = ((one.value, one.low) for one in either if one.value is not None and one.low is not None)
-        found = [Check(value, value - low, np.nan) for value, low in known]
-        if found:
-            return max(found, key=lambda one: one.ratio)
+        periods = [rail for key, rail in rails.items() if key.section == section and key in anchors.known_rails]
+        shown = [rail.part if rail.excess.value is None else rail.excess for rail in periods if rail.reference in HELD]
+        ends = ((estimate.value, estimate.low) for estimate in shown)
+        checks = [Check(value, value - low, np.nan) for value, low in ends if value is not None and low is not None]
+        if checks:
+            return max(checks, key=lambda check: check.ratio)
     return NOTHING
 
 
@@ -90,11 +92,11 @@ def _connected(worst: _Witness, witnesses: Sequence[_Witness], table: CellTable,
     labels = islands(Runs(table.wheel, table.rail, table.serial, nothing, np.zeros(len(table.wheels), np.bool_)))
     measured = {known_wheel.wheel for known_wheel in anchors.known_wheels}
 
-    def of(one: _Witness) -> set[int]:
-        if not one.is_wheelset:
-            return {int(labels[at]) for at, key in enumerate(table.rails) if key.section == one.name}
-        own = [at for at, key in enumerate(table.wheels) if key.wheelset == one.name and key in measured]
-        return set(labels[table.rail[np.isin(table.wheel, own)]].tolist())
+    def of(witness: _Witness) -> set[int]:
+        if not witness.is_wheelset:
+            return {int(labels[place]) for place, key in enumerate(table.rails) if key.section == witness.name}
+        wheels = [place for place, key in enumerate(table.wheels) if key.wheelset == witness.name and key in measured]
+        return set(labels[table.rail[np.isin(table.wheel, wheels)]].tolist())
 
     return [witness for witness in witnesses if of(witness) & of(worst)]
 
@@ -102,10 +104,10 @@ def _connected(worst: _Witness, witnesses: Sequence[_Witness], table: CellTable,
 def _reasons(
     some: Sequence[_Witness], together: Sequence[_Witness], beyond: Mapping[_Witness, Check]
 ) -> tuple[dict[str, Reason], dict[str, Reason]]:
-    most = max(beyond.values(), key=lambda one: one.ratio)
+    most = max(beyond.values(), key=lambda check: check.ratio)
     sections, wheelsets = dict[str, Reason](), dict[str, Reason]()
     for of in some:
-        others = ", ".join(one.name for one in together if one != of)
+        others = ", ".join(witness.name for witness in together if witness != of)
         differs = f"as {others}, but the conicity differs by {abs(beyond.get(of, most).apart):.3f} between them"
         if of.is_wheelset:
             wheelsets[of.name] = Reason(ReasonCode.MEASURED_WHEELS_DIFFER, f"measured, {differs}")
@@ -137,7 +139,7 @@ def rails_apart(
     levels = [at_amplitude(table, k, held, parameters) for k in range(len(amplitude))]
     _refuse_rises(levels, amplitude, parameters.steepest, parameters)
     of_rails, of_wheels = grouped((cell.rail, cell) for cell in cells), grouped((cell.wheel, cell) for cell in cells)
-    trends, no_trends = _trends(levels, amplitude, parameters.limit_amplitude, anchors)
+    trends, no_trends = _trends(levels, amplitude, anchors, parameters)
     return RailsApart(
         amplitude=amplitude,
         rails=tuple(_rail_part(key, of_rails[key], levels) for key in table.rails),
@@ -159,70 +161,69 @@ def _refuse_rises(
     for key in keys:
         curve = np.array([level.rails[key].solved for level in levels])
         rising = on_rise(curve, amplitude, steepest, parameters)
-        for level in (one for one, rises in zip(levels, rising, strict=True) if rises):
-            at = level.rails[key]
-            if at.reference_wheel.value is not None:
-                nothing = Estimate.unknown(NEXT_TO_JUMP, at.reference_wheel.count)
-                level.rails[key] = replace(at, reference_wheel=nothing, excess=nothing)
+        for level in compress(levels, rising):
+            rail = level.rails[key]
+            if rail.reference_wheel.value is not None:
+                nothing = Estimate.unknown(NEXT_TO_JUMP, rail.reference_wheel.count)
+                level.rails[key] = replace(rail, reference_wheel=nothing, excess=nothing)
                 level.trends[key.section] = TrendAt(Estimate.unknown(NEXT_TO_JUMP))
 
 
-def _rail_part(key: RailKey, own: Sequence[SectionConicity], levels: Sequence[AtAmplitude]) -> RailPart:
-    found = [level.rails[key] for level in levels]
+def _rail_part(key: RailKey, cells: Sequence[SectionConicity], levels: Sequence[AtAmplitude]) -> RailPart:
+    published = [level.rails[key] for level in levels]
     return RailPart(
         rail=key,
-        reference=_strongest([one.reference for one in found]),
-        part=tuple(one.part for one in found),
-        reference_wheel=tuple(one.reference_wheel for one in found),
-        excess=tuple(one.excess for one in found),
-        wheelsets=wheelsets_of(own),
-        **extent(own),
+        reference=_strongest([rail.reference for rail in published]),
+        part=tuple(rail.part for rail in published),
+        reference_wheel=tuple(rail.reference_wheel for rail in published),
+        excess=tuple(rail.excess for rail in published),
+        wheelsets=wheelsets_of(cells),
+        **extent(cells),
     )
 
 
-def _wheel_part(key: WheelKey, own: Sequence[SectionConicity], levels: Sequence[AtAmplitude]) -> WheelPart:
-    found = [level.wheels[key] for level in levels]
+def _wheel_part(key: WheelKey, cells: Sequence[SectionConicity], levels: Sequence[AtAmplitude]) -> WheelPart:
+    published = [level.wheels[key] for level in levels]
     return WheelPart(
         wheel=key,
-        reference=_strongest([one.reference for one in found]),
-        conicity=tuple(one.conicity for one in found),
-        sections=sections_of(own),
-        **extent(own),
+        reference=_strongest([wheel.reference for wheel in published]),
+        conicity=tuple(wheel.conicity for wheel in published),
+        sections=sections_of(cells),
+        **extent(cells),
     )
 
 
 def _strongest(references: Sequence[RailsReference | None]) -> RailsReference | None:
-    return next((one for one in RailsReference if one in references), None)
+    return next((reference for reference in RailsReference if reference in references), None)
 
 
 def _trends(
-    levels: Sequence[AtAmplitude], amplitudes: FloatArray, most: float, anchors: Anchors
+    levels: Sequence[AtAmplitude], amplitudes: FloatArray, anchors: Anchors, parameters: RailsParameters
 ) -> tuple[dict[str, RailTrend], dict[str, Reason]]:
     # of the others why there is none, at the largest amplitude at which that is said; where the excess is not on a line
     # at one amplitude, that it is at a smaller one says nothing
-    found: dict[str, RailTrend] = {}
+    trends: dict[str, RailTrend] = {}
     why: dict[str, Reason] = {}
     for amplitude, level in reversed(list(zip(amplitudes, levels, strict=True))):
-        if amplitude > most + RAILS.same_amplitude:
+        if amplitude > parameters.limit_amplitude + parameters.same_amplitude:
             continue
-        for section in {key.section for key in level.rails} - found.keys():
-            one = level.trends.get(section, TrendAt(Estimate.unknown(NOT_COVERED)))
-            if one.per_year.reason is not None:
-                why.setdefault(section, one.per_year.reason)
+        for section in {key.section for key in level.rails} - trends.keys():
+            here = level.trends.get(section, TrendAt(Estimate.unknown(NOT_COVERED)))
+            if here.per_year.reason is not None:
+                why.setdefault(section, here.per_year.reason)
             elif section not in why or why[section].code is not ReasonCode.TREND_NOT_A_LINE:
-                trend = RailTrend(one.per_year, float(amplitude), one.periods)
-                found[section] = trend.with_tonnage(anchors.tonnage.get(section))
-    return found, {section: reason for section, reason in why.items() if section not in found}
+                trend = RailTrend(here.per_year, float(amplitude), here.periods)
+                trends[section] = trend.with_tonnage(anchors.tonnage.get(section))
+    return trends, {section: reason for section, reason in why.items() if section not in trends}
 
 
-def reported(part: tuple[Estimate, ...], amplitude: FloatArray, most: float) -> tuple[Estimate, float] | None:
-    """Return the estimate at the largest amplitude up to ``most`` at which there is one; None where there is none."""
-    known = [
-        (one, float(a))
-        for one, a in zip(part, amplitude, strict=True)
-        if one.value is not None and a <= most + RAILS.same_amplitude
-    ]
-    return known[-1] if known else None
+def reported(
+    part: tuple[Estimate, ...], amplitude: FloatArray, parameters: RailsParameters
+) -> tuple[Estimate, float] | None:
+    """Return the estimate at the largest amplitude, up to that of the limit, at which there is one; None for none."""
+    most = parameters.limit_amplitude + parameters.same_amplitude
+    pairs = zip(reversed(part), amplitude[::-1].tolist(), strict=True)
+    return next(((estimate, at) for estimate, at in pairs if estimate.value is not None and at <= most), None)
 
 
 def exceeds(excess: Estimate, limit: float) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import Annotated, TypeVar
 
 import numpy as np
@@ -47,18 +48,18 @@ def section_conicity(
 
     ``scale_std`` is the relative scale of y - d that the alignment leaves open; ``span_ns`` are begin and end, ns UTC.
     """
-    found = estimate_geometry(table, bins, parameters)
-    if found.status is not Status.ESTIMATED:
-        reason = found.reason or found.equivalent_conicity.reason
+    geometry = estimate_geometry(table, bins, parameters)
+    if geometry.status is not Status.ESTIMATED:
+        reason = geometry.reason or geometry.equivalent_conicity.reason
         assert reason is not None  # whatever is not estimated says why
         return reason
     groups = int((table.weight.sum(axis=1) > 0).sum())
-    sampled, systematic = np.array([parts_of(one, groups) for one in found.conicity]).T
+    sampled, systematic = np.array([parts_of(estimate, groups) for estimate in geometry.conicity]).T
     return SectionConicity(
         wheel=wheel,
         rail=rail,
-        amplitude=found.amplitude,
-        conicity=np.array([np.nan if one.value is None else one.value for one in found.conicity]),
+        amplitude=geometry.amplitude,
+        conicity=_or_nan(estimate.value for estimate in geometry.conicity),
         sampled=normal_equivalent(sampled, groups),
         systematic=systematic,
         scale_std=scale_std,
@@ -72,58 +73,59 @@ Key = TypeVar("Key", bound=Hashable)
 Cell = TypeVar("Cell")
 
 
-def with_refused(found: RailsApart, cells: Sequence[StoredCell]) -> RailsApart:
+def with_refused(apart: RailsApart, cells: Sequence[StoredCell]) -> RailsApart:
     """Return what was found, with the wheels and rails whose cells are all refused, in the order of their keys."""
-    known_rails, known_wheels = {one.rail for one in found.rails}, {one.wheel for one in found.wheels}
+    known_rails, known_wheels = {rail.rail for rail in apart.rails}, {wheel.wheel for wheel in apart.wheels}
     of_rails = grouped((cell.rail, cell) for cell in cells if cell.rail not in known_rails)
     of_wheels = grouped((cell.wheel, cell) for cell in cells if cell.wheel not in known_wheels)
-    rails, wheels = [*found.rails], [*found.wheels]
-    for rail, own in of_rails.items():
-        nothing = _nothing(own, len(found.amplitude))
-        rails.append(RailPart(rail, None, nothing, nothing, nothing, wheelsets_of(own), **extent(own)))
-    for wheel, own in of_wheels.items():
-        nothing = _nothing(own, len(found.amplitude))
-        wheels.append(WheelPart(wheel, None, nothing, sections_of(own), **extent(own)))
-    said = found.trends.keys() | found.no_trends.keys()
-    no_trends = {key.section: _most_frequent_reason(own) for key, own in of_rails.items() if key.section not in said}
+    rails, wheels = [*apart.rails], [*apart.wheels]
+    for rail, refused in of_rails.items():
+        nothing = _nothing(refused, len(apart.amplitude))
+        rails.append(RailPart(rail, None, nothing, nothing, nothing, wheelsets_of(refused), **extent(refused)))
+    for wheel, refused in of_wheels.items():
+        nothing = _nothing(refused, len(apart.amplitude))
+        wheels.append(WheelPart(wheel, None, nothing, sections_of(refused), **extent(refused)))
+    said = apart.trends.keys() | apart.no_trends.keys()
+    no_trends = {key.section: _most_frequent_reason(of) for key, of in of_rails.items() if key.section not in said}
     return replace(
-        found,
-        rails=tuple(sorted(rails, key=lambda one: one.rail)),
-        wheels=tuple(sorted(wheels, key=lambda one: one.wheel)),
-        no_trends={**found.no_trends, **no_trends},
+        apart,
+        rails=tuple(sorted(rails, key=attrgetter("rail"))),
+        wheels=tuple(sorted(wheels, key=attrgetter("wheel"))),
+        no_trends={**apart.no_trends, **no_trends},
     )
 
 
 def grouped(cells: Iterable[tuple[Key, Cell]]) -> Mapping[Key, list[Cell]]:
     """Return cells by what they are of."""
-    found = defaultdict[Key, list[Cell]](list)
-    for key, one in cells:
-        found[key].append(one)
-    return found
+    groups = defaultdict[Key, list[Cell]](list)
+    for key, cell in cells:
+        groups[key].append(cell)
+    return groups
 
 
-def extent(own: Sequence[StoredCell] | Sequence[SectionConicity]) -> dict[str, int]:
+def extent(cells: Sequence[StoredCell] | Sequence[SectionConicity]) -> dict[str, int]:
     """Return how many windows cells are made from, and from when to when."""
-    first, last = min(one.from_ns for one in own), max(one.to_ns for one in own)
-    return {"windows": sum(one.windows for one in own), "from_ns": first, "to_ns": last}
+    first, last = min(cell.from_ns for cell in cells), max(cell.to_ns for cell in cells)
+    return {"windows": sum(cell.windows for cell in cells), "from_ns": first, "to_ns": last}
 
 
-def wheelsets_of(own: Sequence[StoredCell] | Sequence[SectionConicity]) -> int:
+def wheelsets_of(cells: Sequence[StoredCell] | Sequence[SectionConicity]) -> int:
     """Return the number of wheelsets in the cells."""
-    return len({one.wheel.wheelset for one in own})
+    return len({cell.wheel.wheelset for cell in cells})
 
 
-def sections_of(own: Sequence[StoredCell] | Sequence[SectionConicity]) -> tuple[str, ...]:
+def sections_of(cells: Sequence[StoredCell] | Sequence[SectionConicity]) -> tuple[str, ...]:
     """Return the codes of the cells' sections, in order."""
-    return tuple(sorted({one.rail.section for one in own}))
+    return tuple(sorted({cell.rail.section for cell in cells}))
 
 
-def _nothing(own: Sequence[StoredCell], amplitudes: int) -> tuple[Estimate, ...]:
-    return (Estimate.unknown(_most_frequent_reason(own), float(sum(one.windows for one in own))),) * amplitudes
+def _nothing(cells: Sequence[StoredCell], amplitudes: int) -> tuple[Estimate, ...]:
+    windows = float(sum(cell.windows for cell in cells))
+    return (Estimate.unknown(_most_frequent_reason(cells), windows),) * amplitudes
 
 
-def _most_frequent_reason(own: Sequence[StoredCell]) -> Reason:
-    reasons = [one.reason for one in own if one.reason is not None]
+def _most_frequent_reason(cells: Sequence[StoredCell]) -> Reason:
+    reasons = [cell.reason for cell in cells if cell.reason is not None]
     count = Counter(reason.code for reason in reasons)
     return max(reasons, key=lambda reason: count[reason.code])
 
@@ -148,8 +150,8 @@ class CellTable:
 
     def given(self, k: int) -> BoolArray:
         """Return which cells (n,) are known at an amplitude."""
-        found = np.isfinite(self.conicity[:, k]) & np.isfinite(self.sampled[:, k])
-        return np.asarray(found & np.isfinite(self.systematic[:, k]))
+        parts = (self.conicity, self.sampled, self.systematic)
+        return np.asarray(np.isfinite([values[:, k] for values in parts]).all(axis=0))
 
 
 def cell_table(cells: Sequence[SectionConicity], amplitude: FloatArray) -> CellTable:
@@ -214,8 +216,7 @@ class Anchors:
         refused = [*sorted(self.refused.items()), *sorted(self.refused_wheels.items())]
         why = "".join(f"; {name}: {reason.text}" for name, reason in refused)
         why += "".join(f"; {code} is named as known, but not on file" for code in self.missing)
-        differ = (one.code for _, one in refused if one.code in DIFFER)
-        code = next(differ, ReasonCode.RAILS_LEVEL_OPEN)
+        code = next((reason.code for _, reason in refused if reason.code in DIFFER), ReasonCode.RAILS_LEVEL_OPEN)
         return Reason(code, f"{nothing}: only differences of sections are known{why}")
 
     def without(self, sections: Mapping[str, Reason], wheelsets: Mapping[str, Reason]) -> Anchors:
@@ -242,9 +243,12 @@ def conicity_on_rails(wheels: WheelPair, rails: RailShare, amplitude: FloatArray
         curve = radius_difference_curve(wheelset, x)
     except (ContactError, ProfileError, ParameterError):
         return nothing, nothing
-    found = conicity_of(curve.displacement, curve.difference, amplitude, wheels.std)
-    value = np.array([np.nan if one.value is None else one.value for one in found])
-    return value, np.array([np.nan if one.std is None else one.std for one in found])
+    conicity = conicity_of(curve.displacement, curve.difference, amplitude, wheels.std)
+    return _or_nan(estimate.value for estimate in conicity), _or_nan(estimate.std for estimate in conicity)
+
+
+def _or_nan(values: Iterable[float | None]) -> FloatArray:
+    return np.array([np.nan if value is None else value for value in values])
 
 
 def designed_wheel(profile: str, nominal_radius: float) -> WheelPair | None:

@@ -14,7 +14,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from estimation.rails.cell import CellTable
-from estimation.rails.parameters import RAILS
 from estimation.rails.two_way import TwoWay
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.opinions import RailKey, WheelKey
@@ -43,10 +42,9 @@ class Component:
         """The rails, in the order in which they are solved."""
         return [self.table.rails[place] for place in self.rail]
 
-    @property
-    def shared(self) -> float:
-        """What is systematic in all cells, relative: the median of what is not the scale of the section."""
-        conicity = np.maximum(np.abs(self.table.conicity[self.cells, self.k]), RAILS.least_conicity)
+    def shared(self, least_conicity: float) -> float:
+        """Return what is systematic in all cells, relative: the median of what is not the scale of the section."""
+        conicity = np.maximum(np.abs(self.table.conicity[self.cells, self.k]), least_conicity)
         relative = self.table.systematic[self.cells, self.k] / conicity
         return float(np.median(np.sqrt(np.maximum(relative**2 - self.table.scale[self.cells] ** 2, 0.0))))
 
@@ -147,14 +145,14 @@ def _weak(runs: Runs, least: int) -> dict[int, Reason]:
     serials = len(runs.serial) + 1
     rail, _ = np.divmod(np.unique(runs.rail[linking] * serials + runs.serial[runs.wheel[linking]]), serials)
     count = np.bincount(rail, minlength=len(runs.known_rail)).tolist()
-    found = {}
+    weak = {}
     for place in np.unique(runs.rail[~runs.known_rail[runs.rail]]).tolist():
         if count[place] == 0:
-            found[place] = NOT_CONNECTED
+            weak[place] = NOT_CONNECTED
         elif count[place] < least:
             text = f"{count[place]} wheelset{'s' * (count[place] != 1)} connect the section to others"
-            found[place] = Reason(ReasonCode.TOO_FEW_WHEELSETS, f"{text}, {least} are needed")
-    return found
+            weak[place] = Reason(ReasonCode.TOO_FEW_WHEELSETS, f"{text}, {least} are needed")
+    return weak
 
 
 def _groups(runs: Runs) -> tuple[IntArray, list[int]]:
@@ -192,12 +190,12 @@ def _needed(wheel: IntArray, node: IntArray, serial: IntArray, nodes: int) -> li
         if not others.any():
             break
     count = _parts(_labels(wheel, node, nodes), node)
-    found = []
-    for one in np.unique(serial[wheel]).tolist():
-        left = serial[wheel] != one
-        if _parts(_labels(wheel[left], node[left], nodes), node) > count:
-            found.append(one)
-    return found
+    needed = []
+    for number in np.unique(serial[wheel]).tolist():
+        others = serial[wheel] != number
+        if _parts(_labels(wheel[others], node[others], nodes), node) > count:
+            needed.append(number)
+    return needed
 
 
 def _of_forest(wheel: IntArray, node: IntArray, serial: IntArray, nodes: int) -> IntArray:

@@ -42,6 +42,3 @@ class RailsParameters:
     doubted_share: float = 0.99  # share of lines whose periods are nearer to it
     moved_share: float = 0.5  # of a change of the mean that wheels must have moved by for it to be theirs
     least_conicity: float = 1e-3  # to which an error may be in proportion
-
-
-RAILS = RailsParameters()

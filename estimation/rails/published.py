@@ -18,7 +18,7 @@ from scipy.special import fdtri
 from estimation.geometry.parameters import PRIORS
 from estimation.rails.cell import ReferenceWheel
 from estimation.rails.component import Component
-from estimation.rails.parameters import RAILS, RailsParameters
+from estimation.rails.parameters import RailsParameters
 from estimation.rails.two_way import Parted, part
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.opinions import RailKey, RailsReference, WheelKey
@@ -45,11 +45,11 @@ class Line:
     squares: float  # weighted, of what is left
     freedom: int  # how many are left
 
-    def fits(self, groups: float) -> bool:
+    def fits(self, groups: float, doubted_share: float) -> bool:
         """Whether the values are on a line, as far as their errors say."""
         if self.freedom < 1:
             return True
-        return self.squares <= self.freedom * float(fdtri(self.freedom, max(groups, 1.0), RAILS.doubted_share))
+        return self.squares <= self.freedom * float(fdtri(self.freedom, max(groups, 1.0), doubted_share))
 
 
 def line(at: FloatArray, value: FloatArray, covariance: FloatArray) -> Line:
@@ -57,10 +57,10 @@ def line(at: FloatArray, value: FloatArray, covariance: FloatArray) -> Line:
     columns = np.column_stack([np.ones(len(at)), at - at.mean()])
     weighted = np.linalg.solve(covariance, columns)
     matrix = columns.T @ weighted
-    found = np.linalg.solve(matrix, weighted.T @ value)
-    left = value - columns @ found
-    squares = float(left @ np.linalg.solve(covariance, left))
-    return Line(float(found[1]), float(np.sqrt(np.linalg.inv(matrix)[1, 1])), squares, len(at) - PARAMETERS)
+    coefficients = np.linalg.solve(matrix, weighted.T @ value)
+    residual = value - columns @ coefficients
+    squares = float(residual @ np.linalg.solve(covariance, residual))
+    return Line(float(coefficients[1]), float(np.sqrt(np.linalg.inv(matrix)[1, 1])), squares, len(at) - PARAMETERS)
 
 
 AS_ON_FILE = Reason(ReasonCode.RAILS_ARE_REFERENCE, "the section is named as known: nothing is measured of its rails")
@@ -131,7 +131,7 @@ def parted(component: Component, wheel: ReferenceWheel, parameters: RailsParamet
     if refused is not None:
         solved, _ = solution.reference_wheel(float(wheel.on_reference[component.k]))
         return AtAmplitude(
-            {key: RailAt.unknown(refused, float(one)) for key, one in zip(component.rails, solved, strict=True)},
+            {key: RailAt.unknown(refused, value) for key, value in zip(component.rails, solved.tolist(), strict=True)},
             {key: WheelAt(None, Estimate.unknown(refused)) for key in component.wheels},
             {key.section: TrendAt(Estimate.unknown(refused)) for key in component.rails},
             interaction=solution.interaction,
@@ -167,7 +167,7 @@ class _Publisher:
         self, component: Component, solution: Parted, wheel: ReferenceWheel, parameters: RailsParameters
     ) -> None:
         self.component, self.solution, self.wheel, self.parameters = component, solution, wheel, parameters
-        self.shared = component.shared  # relative, what is systematic in all cells
+        self.shared = component.shared(parameters.least_conicity)  # relative, what is systematic in all cells
         # relative, of the scale of y - d: (s,) on each section, and of what is the reference
         self.scale = component.by_rail(component.table.scale[component.cells])
         self.scale_of_reference = _scale_of_reference(component, self.scale)
@@ -186,8 +186,10 @@ class _Publisher:
         two_way, windows = component.two_way, component.table.windows[component.cells]
         count = np.bincount(two_way.rail, windows, minlength=len(component.rail))
         return {
-            key: self._of_known(key, count[at]) if two_way.known_rail[at] else self._of_rail(at, key, count[at])
-            for at, key in enumerate(component.rails)
+            key: self._of_known(key, windows) if known else self._of_rail(place, key, windows)
+            for place, (key, known, windows) in enumerate(
+                zip(component.rails, two_way.known_rail.tolist(), count.tolist(), strict=True)
+            )
         }
 
     def wheels(self) -> dict[WheelKey, WheelAt]:
@@ -196,15 +198,15 @@ class _Publisher:
         count = np.bincount(component.two_way.wheel, windows, minlength=len(component.wheel))
         if not component.two_way.anchored:
             return {
-                key: WheelAt(RailsReference.MEAN, Estimate.unknown(component.level_open, float(count[at])))
-                for at, key in enumerate(component.wheels)
+                key: WheelAt(RailsReference.MEAN, Estimate.unknown(component.level_open, of_wheel))
+                for key, of_wheel in zip(component.wheels, count.tolist(), strict=True)
             }
-        systematic, found = self._systematic_of_wheels(), {}
+        systematic, wheels = self._systematic_of_wheels(), {}
         for place, key in enumerate(component.wheels):
             theta, std = float(self.solution.wheel[place]), float(np.sqrt(self.solution.wheel_variance[place]))
             estimate = self._published(theta, std, float(systematic[place]), float(count[place]))
-            found[key] = WheelAt(self._reference(self.solution.wheel_moved[place]), estimate)
-        return found
+            wheels[key] = WheelAt(self._reference(self.solution.wheel_moved[place]), estimate)
+        return wheels
 
     def trends(self) -> dict[str, TrendAt]:
         """Return the trend of the reference wheel's conicity, 1/year, of every section, or why there is none."""
@@ -218,20 +220,21 @@ class _Publisher:
         if not unknown:
             return TrendAt(Estimate.unknown(AS_ON_FILE))
         why = {place: self._no_conclusion(place, section) for place in unknown}
-        own = [place for place in unknown if why[place] is None]
-        if len(own) < self.parameters.least_periods:
-            text = f"{len(own)} period{'s' * (len(own) != 1)} of the section {'are' if len(own) != 1 else 'is'} known, "
+        concluding = [place for place in unknown if why[place] is None]
+        count = len(concluding)
+        if count < self.parameters.least_periods:
+            text = f"{count} period{'s' * (count != 1)} of the section {'are' if count != 1 else 'is'} known, "
             few = Reason(ReasonCode.TOO_FEW_PERIODS, f"{text}{self.parameters.least_periods} are needed")
             return TrendAt(Estimate.unknown(why[unknown[-1]] or few))
-        at = self.component.by_rail(self.component.table.years[self.component.cells])
-        covariance = self.covariance[np.ix_(own, own)] + self.solution.interaction**2 * np.eye(len(own))
-        found = line(at[own], self.value[own], covariance)
-        if not found.fits(self.solution.freedom):
+        years = self.component.by_rail(self.component.table.years[self.component.cells])
+        covariance = self.covariance[np.ix_(concluding, concluding)] + self.solution.interaction**2 * np.eye(count)
+        course = line(years[concluding], self.value[concluding], covariance)
+        if not course.fits(self.solution.freedom, self.parameters.doubted_share):
             text = "is not on a line: the rails were ground or replaced, or wear unevenly"
-            bent = Reason(ReasonCode.TREND_NOT_A_LINE, f"the excess of {len(own)} periods {text}")
+            bent = Reason(ReasonCode.TREND_NOT_A_LINE, f"the excess of {count} periods {text}")
             return TrendAt(Estimate.unknown(bent))
-        systematic = self.shared * abs(found.slope)
-        return TrendAt(with_interval(found.slope, found.std, systematic, self.groups, float(len(own))), len(own))
+        systematic = self.shared * abs(course.slope)
+        return TrendAt(with_interval(course.slope, course.std, systematic, self.groups, float(count)), count)
 
     def _of_rail(self, place: int, key: RailKey, windows: float) -> RailAt:
         reference, rho = self._reference(self.solution.rail_moved[place]), float(self.solution.rail[place])
@@ -261,10 +264,10 @@ class _Publisher:
         return RailAt(reference, none, _exactly(here, windows), _exactly(here - on_file, windows))
 
     def _published(self, value: float, sampled: float, systematic: float, windows: float) -> Estimate:
-        found = with_interval(value, sampled, systematic, self.groups, windows)
-        if found.std is not None and found.std <= PRIORS.largest_conicity_std:
-            return found
-        text = f"the data leave the conicity open by {found.std:.2f}"
+        estimate = with_interval(value, sampled, systematic, self.groups, windows)
+        if estimate.std is not None and estimate.std <= PRIORS.largest_conicity_std:
+            return estimate
+        text = f"the data leave the conicity open by {estimate.std:.2f}"
         return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), windows)
 
     def _no_conclusion(self, place: int, section: str) -> Reason | None:

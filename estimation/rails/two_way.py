@@ -107,12 +107,12 @@ def with_known(cells: TwoWay, parameters: RailsParameters, without: Parted) -> P
 
 
 def _widened(cells: TwoWay, parameters: RailsParameters, solution: Parted) -> Parted:
-    known = np.isfinite(cells.known_value)
-    if not solution.converged or not known.any():
+    is_known = np.isfinite(cells.known_value)
+    if not solution.converged or not is_known.any():
         return solution
-    weight = solution.known_weight[known]
-    squares = float(np.sum(weight * (cells.known_value - solution.wheel)[known] ** 2))
-    freedom = float(np.sum(1.0 - weight * solution.wheel_variance[known]))
+    weight = solution.known_weight[is_known]
+    squares = float(np.sum(weight * (cells.known_value - solution.wheel)[is_known] ** 2))
+    freedom = float(np.sum(1.0 - weight * solution.wheel_variance[is_known]))
     factor = squares / freedom if freedom > parameters.least_freedom else 1.0
     if factor <= 1.0:
         return solution
@@ -295,8 +295,5 @@ def _inverse(matrix: FloatArray) -> FloatArray:
 
 def _quadratic(rows: csr_array, covariance: FloatArray) -> FloatArray:
     """Return the variance (n,) of linear combinations, the rows (n, k), of what has a covariance (k, k)."""
-    found = np.empty(rows.shape[0])
-    for first in range(0, len(found), MEMORY.covariance_rows):
-        some = rows[first : first + MEMORY.covariance_rows]
-        found[first : first + MEMORY.covariance_rows] = some.multiply(some @ covariance).sum(axis=1)
-    return found
+    blocks = (rows[first : first + MEMORY.covariance_rows] for first in range(0, rows.shape[0], MEMORY.covariance_rows))
+    return np.concatenate([np.empty(0), *(block.multiply(block @ covariance).sum(axis=1) for block in blocks)])

@@ -64,40 +64,40 @@ def _refusal(signatures: Sequence[Signature], library: Library, parameters: Sign
 def _answer(
     wheelset: str,
     signatures: Sequence[Signature],
-    known: IntArray | None,
+    places: IntArray | None,
     library: Library,
     calibration: Calibration,
     basis: Basis,
     parameters: SignatureParameters,
 ) -> SignatureAnswer:
     grid = conicity_grid(np.array(library.conicity), parameters.margin)
-    found = likelihood(library.model, _rows(signatures), known, grid)
-    novelty = calibration.novelty(found)
+    likely = likelihood(library.model, _rows(signatures), places, grid)
+    novelty = calibration.novelty(likely)
     refusal = None
-    if outside(found, library.conicity, parameters.margin):
+    if outside(likely, library.conicity, parameters.margin):
         low, high = library.conicity[0] - parameters.margin, library.conicity[1] + parameters.margin
         text = f"the signature is like that of a conicity outside {low:.2f} to {high:.2f}, which the library covers"
         refusal = Reason(ReasonCode.NOT_IN_LIBRARY, text)
     if novelty > 1.0:
         text = f"the signature is {novelty:.1f} times as far from the library as any that it answers"
         refusal = Reason(ReasonCode.NOT_IN_LIBRARY, text)
-    if refusal is None and known is None:
-        level, (low, high) = level_of(library.model, _rows(signatures), found.mean), library.levels(len(signatures))
+    if refusal is None and places is None:
+        level, (low, high) = level_of(library.model, _rows(signatures), likely.mean), library.levels(len(signatures))
         if not low <= level <= high:  # conicity depends on the amplitude
             text = f"the track is {'rougher' if level > high else 'smoother'} than any that the library has"
             refusal = Reason(ReasonCode.NOT_IN_LIBRARY, text)
     if refusal is not None:
         return _unknown(wheelset, refusal, library, novelty)
-    std = calibration.std(found.std, library.on_file.shared_std(found.mean))
+    std = calibration.std(likely.std, library.on_file.shared_std(likely.mean))
     half = NORMAL * std
     return SignatureAnswer(
         wheelset=wheelset,
         conicity=Estimate(
-            found.mean, std, found.mean - half, found.mean + half, float(len(signatures)), Status.ESTIMATED
+            likely.mean, std, likely.mean - half, likely.mean + half, float(len(signatures)), Status.ESTIMATED
         ),
         basis=basis,
-        states=states(found.mean, std, parameters.states),
-        used=_used(found.mean, std, signatures, library, basis),
+        states=states(likely.mean, std, parameters.states),
+        used=_used(likely.mean, std, signatures, library, basis),
         library_wheelsets=library.wheelsets,
         library_sections=len(library.sections),
         novelty=novelty,

@@ -105,15 +105,15 @@ def rows_of(entries: Sequence[LibraryEntry], own: FloatArray) -> Rows:
     names = sorted({entry.wheelset for entry in entries})
     places = sorted({_place(entry) for entry in entries})
     sections = sorted({place.section for place in places})
-    known = np.array([entry.conicity for entry in entries])
-    spread = max(float(np.var(known) - np.mean(own**2)), 1e-6)
-    mean = float(np.mean(known))
+    conicity = np.array([entry.conicity for entry in entries])
+    spread = max(float(np.var(conicity) - np.mean(own**2)), 1e-6)
+    mean = float(np.mean(conicity))
     share = spread / (spread + own**2)
-    expected, variance = np.asarray(mean + (known - mean) * share), np.asarray(share * own**2)
+    expected, variance = np.asarray(mean + (conicity - mean) * share), np.asarray(share * own**2)
     return Rows(
         powers=np.stack([entry.signature.powers for entry in entries]),
         conicity=expected,
-        on_file=known,
+        on_file=conicity,
         speed=np.array([entry.signature.speed for entry in entries]),
         place=_numbers([_place(entry) for entry in entries], places),
         section=_numbers([_place(entry).section for entry in entries], sections),
@@ -264,13 +264,12 @@ class Libraries:
         """Return the entries from which something may be concluded about a wheelset."""
         alike = self._of(subject)
         outside = _outside(alike, subject)
-        own = frozenset().union(*(alike.holding.get(name, frozenset()) for name in _names(subject)))
-        kept = tuple(
-            one for number, one in enumerate(alike.entries) if number not in own and not outside & sharers(one)
-        )
+        its_own = frozenset().union(*(alike.holding.get(name, frozenset()) for name in _names(subject)))
+        others = (entry for number, entry in enumerate(alike.entries) if number not in its_own)
+        kept = tuple(entry for entry in others if not outside & sharers(entry))
         left_out = Counter(alike.left_out)
-        left_out[ReasonCode.SAME_WHEELSET] += len(own)
-        left_out[ReasonCode.JUDGED_TOGETHER] += len(alike.entries) - len(own) - len(kept)
+        left_out[ReasonCode.SAME_WHEELSET] += len(its_own)
+        left_out[ReasonCode.JUDGED_TOGETHER] += len(alike.entries) - len(its_own) - len(kept)
         return Admitted(kept, {code: count for code, count in left_out.items() if count})
 
     def library(self, subject: Subject) -> Library | Reason:
@@ -318,7 +317,7 @@ def _alike(entries: Sequence[LibraryEntry], subject: Subject, most: int, paramet
     for number, entry in enumerate(chosen):
         for name in sharers(entry):
             holding[name].add(number)
-    numbers = {name: frozenset(found) for name, found in holding.items()}
+    numbers = {name: frozenset(of_name) for name, of_name in holding.items()}
     return _Alike(tuple(chosen), folds(chosen, parameters), numbers, left_out)
 
 
@@ -326,10 +325,10 @@ def _newest(entries: Sequence[LibraryEntry], most: int) -> Sequence[LibraryEntry
     if len(entries) <= most:
         return entries
     of_place: dict[object, list[LibraryEntry]] = defaultdict(list)
-    for entry in sorted(entries, key=lambda one: (-one.signature.start_ns, one.wheelset, one.signature.order)):
+    for entry in sorted(entries, key=lambda item: (-item.signature.start_ns, item.wheelset, item.signature.order)):
         of_place[entry.signature.place].append(entry)
     each = 1
-    while sum(min(each + 1, len(found)) for found in of_place.values()) <= most:
+    while sum(min(each + 1, len(entries_there)) for entries_there in of_place.values()) <= most:
         each += 1
-    chosen = {id(entry) for found in of_place.values() for entry in found[:each]}
+    chosen = {id(entry) for entries_there in of_place.values() for entry in entries_there[:each]}
     return [entry for entry in entries if id(entry) in chosen]

@@ -134,10 +134,10 @@ def _of_errors(rows: Rows, response: FloatArray, level: FloatArray) -> FloatArra
 
 def scatter_of(residuals: FloatArray, wheelset: IntArray, means: int) -> tuple[FloatArray, FloatArray]:
     """Return the covariances (f, f) of residuals, less ``means`` means as of places, of wheelsets and within these."""
-    own = _means(residuals, wheelset)
-    freedom = max(len(residuals) - means - len(own), 1)
-    rest = _covariance(residuals - own[wheelset], freedom)
-    of_means = _covariance(own, max(len(own) - TERMS, 1))
+    of_wheelsets = _means(residuals, wheelset)
+    freedom = max(len(residuals) - means - len(of_wheelsets), 1)
+    rest = _covariance(residuals - of_wheelsets[wheelset], freedom)
+    of_means = _covariance(of_wheelsets, max(len(of_wheelsets) - TERMS, 1))
     return _less(of_means, rest * _of_means(wheelset)), rest
 
 

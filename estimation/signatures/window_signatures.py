@@ -74,14 +74,14 @@ def families(groups: Iterable[frozenset[str]]) -> list[frozenset[str]]:
 def folds(entries: Sequence[LibraryEntry], parameters: SignatureParameters) -> list[frozenset[str]]:
     """Return wheelsets that are left out together, none of whose data are in entries of others."""
     # In a small library each family is a fold. In a larger one there are six, each with all kinds of conicity.
-    known: dict[str, list[float]] = {}
+    conicities: dict[str, list[float]] = {}
     for entry in entries:
-        known.setdefault(entry.wheelset, []).append(entry.conicity)
-    found = families(sharers(entry) for entry in entries)
-    if len(found) <= parameters.most_own_folds:
-        return found
-    mean = {name: sum(values) / len(values) for name, values in known.items()}
-    ordered = sorted(found, key=lambda names: (min(mean[name] for name in names if name in mean), min(names)))
+        conicities.setdefault(entry.wheelset, []).append(entry.conicity)
+    alone = families(sharers(entry) for entry in entries)
+    if len(alone) <= parameters.most_own_folds:
+        return alone
+    mean = {name: sum(values) / len(values) for name, values in conicities.items()}
+    ordered = sorted(alone, key=lambda names: (min(mean[name] for name in names if name in mean), min(names)))
     return [frozenset().union(*ordered[first :: SIGNATURE.fold_count]) for first in range(SIGNATURE.fold_count)]
 
 
@@ -192,9 +192,9 @@ def _checked(window: Window, signals: SignalParameters, layout: TrackLayout | No
 
 
 def _stretch(segment: IntegratedSegment, window: Window, parameters: WindowParameters, way: int) -> _Stretch:
-    known = np.flatnonzero(segment.known)
-    at = np.interp(np.arange(len(segment.known)), known, window.distance[segment.part][known])
-    run = np.maximum.accumulate(way * at) + SIGNATURE.least_step * np.arange(len(at))
+    given = np.flatnonzero(segment.known)
+    place = np.interp(np.arange(len(segment.known)), given, window.distance[segment.part][given])
+    run = np.maximum.accumulate(way * place) + SIGNATURE.least_step * np.arange(len(place))
     fused = fuse(motion_signals(segment, parameters.vehicle, run), parameters.vehicle)
     first, count = round(float(fused.run[0]) / FUSED.grid_step), len(fused.run)
     fine = FUSED.grid_step / FUSED.oversampling

@@ -32,7 +32,7 @@ from estimation.track.parameters import TRACK
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.registry import WheelsetRecord
-from estimation.values.units import LATEST_NS, SECOND_NS
+from estimation.values.units import HOUR_NS, LATEST_NS, SECOND_NS
 from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality, WindowRecord
 from estimation.vehicle.vehicle_class import VehicleParameters
 
@@ -93,14 +93,14 @@ def passes(
     section's right, and its left wheels run on the section's right rail. One that runs the other way with its rear end
     first has not. Of a wheelset that is ``mounted_reversed`` the left wheel is on the vehicle's right-hand side.
     """
-    found = []
+    along_section = []
     for segment in integrated.segments:
-        at = bridged(window.distance[segment.part], segment.known)
-        steps = np.diff(at)
+        place = bridged(window.distance[segment.part], segment.known)
+        steps = np.diff(place)
         direction = 1 if steps.min() > 0 else -1 if steps.max() < 0 else 0
         if not direction:
             continue
-        signals = motion_signals(segment, vehicle, np.asarray(direction * at))
+        signals = motion_signals(segment, vehicle, np.asarray(direction * place))
         if not (np.isfinite(signals.displacement).all() and np.isfinite(signals.difference).all()):
             continue
         grid = fuse(signals, vehicle)
@@ -108,7 +108,7 @@ def passes(
             continue
         facing, mounted = -direction if window.backwards else direction, -1 if mounted_reversed else 1
         along = slice(None, None, direction)
-        found.append(
+        along_section.append(
             Pass(
                 ProfileLife(window.wheelset),
                 window.vehicle,
@@ -120,7 +120,7 @@ def passes(
                 mounted * grid.stiffness_term[along],
             )
         )
-    return found
+    return along_section
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,19 +145,19 @@ Journey = tuple[str, int]  # vehicle, start of its first window, ns
 
 def journeys(passes: Sequence[Pass], parameters: PositionParameters) -> dict[Journey, list[Pass]]:
     """Group passes by vehicle and run."""
-    found: dict[Journey, list[Pass]] = {}
+    grouped: dict[Journey, list[Pass]] = {}
     last: dict[str, tuple[Journey, int]] = {}
     for item in sorted(passes, key=lambda p: (p.vehicle, p.start_ns, p.life)):
         end = item.start_ns
-        known = last.get(item.vehicle)
-        if known is None or end - known[1] > parameters.pause_s * SECOND_NS:
+        before = last.get(item.vehicle)
+        if before is None or end - before[1] > parameters.pause_s * SECOND_NS:
             journey = (item.vehicle, item.start_ns)
-            found[journey] = []
+            grouped[journey] = []
         else:
-            journey = known[0]
-        found[journey].append(item)
+            journey = before[0]
+        grouped[journey].append(item)
         last[item.vehicle] = (journey, end)
-    return found
+    return grouped
 
 
 class PassStatus(StrEnum):
@@ -191,19 +191,20 @@ def examine(
     if jumps:
         window = without_jumps(window, jumps)
         integrated = integrate(window, moving_samples(window, parameters.signals), parameters.signals)
-    found = passes(window, integrated, parameters.vehicle, mounted_reversed=mounted_reversed)
-    if not found:
+    window_passes = passes(window, integrated, parameters.vehicle, mounted_reversed=mounted_reversed)
+    if not window_passes:
         least = f"no uninterrupted run of {parameters.signals.shortest_segment_s:g} s in one direction"
         return (), combined([jumps_reason(jumps), Reason(ReasonCode.INTERRUPTED, least)])
     refusal = check_axis_signs(integrated)
-    return ((), refusal) if refusal is not None else (tuple(found), jumps_reason(jumps))
+    return ((), refusal) if refusal is not None else (tuple(window_passes), jumps_reason(jumps))
 
 
 Item = TypeVar("Item")
-MOST = TRACK.most_pass_windows
 
 
-def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], most: int = MOST) -> list[list[Item]]:
+def following(
+    items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], most: int = TRACK.most_pass_windows
+) -> list[list[Item]]:
     """Return the items in groups that follow each other; ``keys`` are what they must share, start and end, ns."""
     groups: list[list[Item]] = []
     last: tuple[Hashable, int] | None = None
@@ -226,14 +227,14 @@ def joined(windows: Sequence[Window]) -> Window:
         for name in (*ACCELERATIONS, "speed", "distance", "valid")
     }
     frame = [window.frame_yaw_acceleration for window in windows]
-    known = [part for part in frame if part is not None]
+    given = [part for part in frame if part is not None]
     none = [np.zeros(len(window.valid), np.bool_) for window in windows]
     bridged = [part if window.bridged is None else window.bridged for part, window in zip(none, windows, strict=True)]
     return replace(
         first,
         length_ns=sum(window.length_ns for window in windows),
         quality=_quality([window.quality for window in windows]),
-        frame_yaw_acceleration=np.concatenate(known) if len(known) == len(frame) else None,
+        frame_yaw_acceleration=np.concatenate(given) if len(given) == len(frame) else None,
         bridged=np.concatenate(bridged) if any(part.any() for part in bridged) else None,
         **arrays,
     )
@@ -298,7 +299,7 @@ class _Journey:
 
 def first_epoch(entries: Sequence[Entry], most_windows: int, most_wheelsets: int, p: PartitionParameters) -> Group:
     """Return the windows of the first epoch of entries by start and wheelset; one journey may be more than the most."""
-    pause_ns, journey_ns = round(p.pause_h * 3600 * SECOND_NS), round(p.journey_pause_s * SECOND_NS)
+    pause_ns, journey_ns = round(p.pause_h * HOUR_NS), round(p.journey_pause_s * SECOND_NS)
     chosen: list[_Journey] = []
     count, end_ns, horizon_ns = 0, 0, LATEST_NS
     lives: set[ProfileLife] = set()
@@ -307,22 +308,22 @@ def first_epoch(entries: Sequence[Entry], most_windows: int, most_wheelsets: int
         full = count + len(journey.entries) > most_windows or len(lives | journey.lives) > most_wheelsets
         if chosen and (paused or full):
             horizon_ns = max(
-                journey.last_ns if full else journey.first_ns, *(one.last_ns + journey_ns for one in chosen)
+                journey.last_ns if full else journey.first_ns, *(earlier.last_ns + journey_ns for earlier in chosen)
             )
             break
         chosen.append(journey)
         count += len(journey.entries)
         lives |= journey.lives
         end_ns = max(end_ns, journey.last_ns)
-    found = sorted(
+    of_epoch = sorted(
         (entry for journey in chosen for entry in journey.entries),
         key=lambda entry: (entry[0].start_ns, entry[0].wheelset),
     )
-    return Group(found, horizon_ns)
+    return Group(of_epoch, horizon_ns)
 
 
 def _journeys(entries: Sequence[Entry], pause_ns: int, most: int) -> list[_Journey]:
-    found: list[_Journey] = []
+    in_order: list[_Journey] = []
     last: dict[str, _Journey] = {}
     for record, life in entries:
         journey = last.get(record.vehicle)
@@ -330,10 +331,10 @@ def _journeys(entries: Sequence[Entry], pause_ns: int, most: int) -> list[_Journ
         if journey is None or not together or (len(journey.entries) >= most and record.start_ns > journey.last_ns):
             journey = _Journey([], set())
             last[record.vehicle] = journey
-            found.append(journey)
+            in_order.append(journey)
         journey.entries.append((record, life))
         journey.lives.add(life)
-    return found
+    return in_order
 
 
 def newest_within(entries: Sequence[Entry], most_windows: int, most_wheelsets: int) -> tuple[list[Entry], list[Entry]]:

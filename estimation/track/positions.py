@@ -70,7 +70,7 @@ def clear_peaks(
     pieces = max(round(len(points) * grid.step / parameters.piece), 1)
     parts = [part for part in np.array_split(np.arange(len(points)), pieces) if len(part)]
     peaks = [peak(points[part], y[part], reference, grid, parameters) for part in parts]
-    return [one for one in peaks if one is not None and not one.correlation < parameters.least_correlation]
+    return [item for item in peaks if item is not None and not item.correlation < parameters.least_correlation]
 
 
 def peak(
@@ -124,15 +124,15 @@ def adjusted_positions(
     }
 
 
-def _shared(one: _Extent, other: _Extent) -> IntArray:
-    return np.arange(max(one[0], other[0]), min(one[1], other[1]), dtype=np.int64)
+def _shared(first: _Extent, second: _Extent) -> IntArray:
+    return np.arange(max(first[0], second[0]), min(first[1], second[1]), dtype=np.int64)
 
 
 def _pairs(extents: Sequence[_Extent], least: int, parameters: PositionParameters) -> list[tuple[int, int]]:
     pairs = set()
     order = sorted(range(len(extents)), key=lambda i: (0.5 * (extents[i][0] + extents[i][1]), i))
-    for i, own in enumerate(extents):
-        others = [j for j in order if j != i and len(_shared(own, extents[j])) >= least]
+    for i, extent in enumerate(extents):
+        others = [j for j in order if j != i and len(_shared(extent, extents[j])) >= least]
         chosen = {others[round(k)] for k in np.linspace(0, len(others) - 1, parameters.partners)} if others else set()
         pairs |= {(min(i, j), max(i, j)) for j in chosen}
     return sorted(pairs)
@@ -145,27 +145,26 @@ def _adjusted(
     n = len(reported)
     first, second = (np.array([shift[number] for shift in shifts], np.int64) for number in (0, 1))
     u, lag = (np.array([getattr(peak, name) for _, _, peak in shifts]) for name in ("middle", "shift"))
-    known = np.array([peak.correlation**2 for _, _, peak in shifts])
+    explained = np.array([peak.correlation**2 for _, _, peak in shifts])
     columns = np.stack([first, n + first, second, n + second], axis=1).reshape(-1, 4)
     ones = np.ones(len(shifts))
     rows = np.stack([ones, u - middle, -ones, middle - u], axis=1).reshape(-1, 4) / parameters.shift_std
     squares = rows[:, :, None] * rows[:, None, :]
-    at = (
-        np.concatenate([np.eye(n), np.diag(reported)], axis=1) / parameters.offset_std
-    )  # journeys are near where they report
+    # journeys are near where they report
+    place = np.concatenate([np.eye(n), np.diag(reported)], axis=1) / parameters.offset_std
     scale = np.concatenate([np.zeros((n, n)), np.eye(n)], axis=1) / parameters.scale_std
-    prior = at.T @ at + scale.T @ scale
-    found: FloatArray = np.zeros(2 * n)
-    weights: FloatArray = known
+    prior = place.T @ place + scale.T @ scale
+    solution: FloatArray = np.zeros(2 * n)
+    weights: FloatArray = explained
     for _ in range(parameters.network_reweightings):
         normal, right = prior.copy(), np.zeros(2 * n)
         np.add.at(normal, (columns[:, :, None], columns[:, None, :]), weights[:, None, None] * squares)
         np.add.at(right, columns, (weights * lag / parameters.shift_std)[:, None] * rows)
-        found = np.asarray(np.linalg.solve(normal, right))
-        left = np.abs(lag - parameters.shift_std * (rows * found[columns]).sum(axis=1))
-        spread = 2.0 * max(float(np.median(left)), parameters.least_spread) if len(left) else parameters.least_spread
-        weights = np.asarray(known / (1.0 + (left / spread) ** 2))
-    return found[:n], found[n:]
+        solution = np.asarray(np.linalg.solve(normal, right))
+        rest = np.abs(lag - parameters.shift_std * (rows * solution[columns]).sum(axis=1))
+        spread = 2.0 * max(float(np.median(rest)), parameters.least_spread) if len(rest) else parameters.least_spread
+        weights = np.asarray(explained / (1.0 + (rest / spread) ** 2))
+    return solution[:n], solution[n:]
 
 
 def correlate_positions(
@@ -202,36 +201,32 @@ def refine(
     slope = np.gradient(np.nan_to_num(solution.alignment), panel.grid.step)
     certain = np.isfinite(solution.alignment)
     better = {}
-    for journey, one in placed.items():
-        correction = one.correction
+    for journey, where in placed.items():
+        correction = where.correction
         normal, right = 1e-12 * np.eye(2), np.zeros(2)
-        for item, curve in solution.used(one.passes):
-            at, own = item.used_points, pass_residual(item, curve, panel)[item.inside]
-            residual = (own - np.nan_to_num(solution.alignment[at])) * certain[at]
+        for item, curve in solution.used(where.passes):
+            at = item.used_points
+            residual = pass_residual(item, curve, panel)[item.inside] - np.nan_to_num(solution.alignment[at])
             design = np.stack([slope[at], slope[at] * (at * panel.grid.step - correction.middle)]) * certain[at]
             normal += design @ design.T
-            right += design @ residual
+            right += design @ (residual * certain[at])
         step = np.linalg.solve(normal + np.diag([0.0, 1e-9 * normal[1, 1]]), right)
-        better[journey] = replace(
-            correction, offset=correction.offset + float(step[0]), scale=correction.scale + float(step[1])
-        )
+        better[journey] = correction.moved(*step.tolist())
     if anchored:
         return better
     offset, scale = (float(np.mean([getattr(c, name) for c in better.values()])) for name in ("offset", "scale"))
-    return {j: replace(c, offset=c.offset - offset, scale=c.scale - scale) for j, c in better.items()}
+    return {journey: correction.moved(-offset, -scale) for journey, correction in better.items()}
 
 
 def register(
-    found: FloatArray, reference: FloatArray, grid: SectionGrid, parameters: PositionParameters
+    signal: FloatArray, reference: FloatArray, grid: SectionGrid, parameters: PositionParameters
 ) -> tuple[Correction, float]:
-    """Return how ``found`` (n,) must be moved onto ``reference`` (n,), and the mean correlation of its pieces."""
+    """Return how a signal (n,) must be moved onto ``reference`` (n,), and the mean correlation of its pieces."""
     pieces = np.array_split(np.arange(grid.points), max(round(grid.length / (2 * parameters.piece)), 1))
-    peaks = [peak(part, found[part], reference, grid, parameters) for part in pieces]
-    known = [one for one in peaks if one is not None]
-    if not known:
-        return Correction(middle=0.5 * grid.length), 0.0
-    score = float(np.mean([one.correlation for one in known]))
-    return _fitted(Correction(middle=0.5 * grid.length), known, parameters), score
+    tried = (peak(part, signal[part], reference, grid, parameters) for part in pieces)
+    peaks = [item for item in tried if item is not None]
+    score = float(np.mean([item.correlation for item in peaks])) if peaks else 0.0
+    return _fitted(Correction(middle=0.5 * grid.length), peaks, parameters), score
 
 
 def compose(first: Correction, second: Correction) -> Correction:
@@ -243,7 +238,7 @@ def compose(first: Correction, second: Correction) -> Correction:
 def _fitted(correction: Correction, peaks: Sequence[Peak], parameters: PositionParameters) -> Correction:
     if not peaks:
         return correction
-    s, lag = np.array([(one.middle, one.shift) for one in peaks]).T
+    s, lag = np.array([(item.middle, item.shift) for item in peaks]).T
     u = s - correction.middle
     weights = np.ones(len(u))
     line = np.zeros(2)
@@ -253,4 +248,4 @@ def _fitted(correction: Correction, peaks: Sequence[Peak], parameters: PositionP
         line = np.linalg.solve(design @ np.stack([np.ones(len(u)), u]).T + ridge, design @ lag)
         error = np.abs(lag - line[0] - line[1] * u)
         weights = 1.0 / (1.0 + (error / max(float(np.median(error)), 0.1)) ** 2)
-    return replace(correction, offset=correction.offset + float(line[0]), scale=correction.scale + float(line[1]))
+    return correction.moved(*line.tolist())

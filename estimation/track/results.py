@@ -15,7 +15,6 @@ from estimation.track.gauge.wheel_functions import contact_samples, gauge_sign, 
 from estimation.track.gridded_pass import GriddedPass
 from estimation.track.iteration import Grouped, IterationResult, Setting, first_rounds
 from estimation.track.panel.basis import MeasuredCurve, Panel, unfiltered_residual
-from estimation.track.panel.instrumental_slope import PRIOR_STD
 from estimation.track.panel.solution import PanelSolution, PriorAlignment, between_pass_std_ratio, prior_on_grid
 from estimation.track.parameters import TRACK
 from estimation.track.passes import Journey, ProfileLife
@@ -222,7 +221,7 @@ def _profile_uncertainty(iterated: IterationResult) -> tuple[float, float]:
     used = [item for item in iterated.passes if not item.empty]
     stiffness = sum(float(values @ values) for values in (item.stiffness_term[item.inside] for item in used))
     total_power = sum(float(values @ values) for values in (item.difference[item.inside] for item in used))
-    stiffness_scale_std = PRIOR_STD * np.sqrt(stiffness / total_power) if total_power > 0.0 else 0.0
+    stiffness_scale_std = TRACK.ratio_prior_std * np.sqrt(stiffness / total_power) if total_power > 0.0 else 0.0
     return float(std), float(np.hypot(scale, stiffness_scale_std))
 
 

@@ -43,10 +43,11 @@ class Residuals:
 
     def weights(self) -> dict[ProfileLife, float]:
         """Return by profile life how much a pass counts where it is far off; empty where that would not matter."""
-        known = [value for value in self.of_lives.values() if np.isfinite(value)]
-        usual = max(TRACK.usual_std_factor * float(np.median(known)), TRACK.least_usual_std) if known else np.inf
-        found = {life: (usual / value) ** TRACK.weight_power for life, value in self.of_lives.items() if value > usual}
-        return found if any(weight < TRACK.largest_effective_weight for weight in found.values()) else {}
+        finite = [value for value in self.of_lives.values() if np.isfinite(value)]
+        usual = max(TRACK.usual_std_factor * float(np.median(finite)), TRACK.least_usual_std) if finite else np.inf
+        far = {life: usual / value for life, value in self.of_lives.items() if value > usual}
+        weights = {life: ratio**TRACK.weight_power for life, ratio in far.items()}
+        return weights if any(weight < TRACK.largest_effective_weight for weight in weights.values()) else {}
 
 
 def residuals(iterated: IterationResult) -> Residuals:
@@ -151,16 +152,16 @@ def _reject_outliers(grouped: Grouped, known: PriorAlignment | None, panel: Pane
     rms: dict[Journey, float] = {}
     while True:
         iterated = iterate(kept, known, panel, p.positions, p.iteration)
-        left = residuals(iterated)
-        rms |= left.of_journeys
-        found = _find_outliers(left.of_usual_wheelsets, iterated.corrections, p)
-        outliers |= found
-        if len(found) == len(kept):
+        rest = residuals(iterated)
+        rms |= rest.of_journeys
+        outlying = _find_outliers(rest.of_usual_wheelsets, iterated.corrections, p)
+        outliers |= outlying
+        if len(outlying) == len(kept):
             return _Accepted(iterated, outliers, rms)
-        if found:
-            kept = {journey: members for journey, members in kept.items() if journey not in found}
+        if outlying:
+            kept = {journey: members for journey, members in kept.items() if journey not in outlying}
             continue
-        weights = left.weights()
+        weights = rest.weights()
         if panel.weights or not weights:
             return _Accepted(iterated, outliers, rms)
         panel = replace(panel, weights=weights)
@@ -169,20 +170,20 @@ def _reject_outliers(grouped: Grouped, known: PriorAlignment | None, panel: Pane
 def _find_outliers(
     residuals: Mapping[Journey, float], corrections: Mapping[Journey, Correction], p: SectionParameters
 ) -> dict[Journey, Reason]:
-    found = {}
+    reasons = {}
     for journey, value in residuals.items():
         others = [rest for other, rest in residuals.items() if other != journey and np.isfinite(rest)]
         limit = max(p.outlier_factor * float(np.median(others)), p.least_outlier_m) if others else np.inf
         offset = abs(corrections[journey].offset)
         if not np.isfinite(value):
-            found[journey] = Reason(ReasonCode.JOURNEY_INDETERMINATE, "too short, or where too few have passed")
+            reasons[journey] = Reason(ReasonCode.JOURNEY_INDETERMINATE, "too short, or where too few have passed")
         elif value > limit:
             text = f"agrees with no other: {1e3 * value:.2f} mm apart, {1e3 * limit:.2f} mm are expected"
-            found[journey] = Reason(ReasonCode.JOURNEY_DISAGREES, text)
+            reasons[journey] = Reason(ReasonCode.JOURNEY_DISAGREES, text)
         elif offset > p.positions.largest_offset:
             text = f"{offset:.0f} m off, {p.positions.largest_offset:.0f} m are searched"
-            found[journey] = Reason(ReasonCode.OFFSET_TOO_LARGE, text)
-    return found
+            reasons[journey] = Reason(ReasonCode.OFFSET_TOO_LARGE, text)
+    return reasons
 
 
 def _report(

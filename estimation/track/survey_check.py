@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 
-from estimation.filters import high_pass, local_cubic_kernel, valid_support
+from estimation.filters import between_known, high_pass, local_cubic_kernel, valid_support
 from estimation.track.gauge.wheel_functions import WHEELS, contact_samples, gauge_factor_with_std
 from estimation.track.iteration import IterationResult
 from estimation.track.parameters import TRACK
@@ -141,7 +141,7 @@ def _on_one_grid(
 ) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
     step = float(fleet.s[1] - fleet.s[0])
     known = np.isfinite(recorded.alignment) & np.isfinite(recorded.alignment_std)
-    inside = np.asarray(np.interp(fleet.s, recorded.s, known.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9)
+    inside = between_known(fleet.s, recorded.s, known)
     surveyed = np.isfinite(recorded.alignment)
     if not inside.any():
         return None

@@ -48,19 +48,19 @@ class SurveyPositionParameters:
 
 def positions_on_survey(placed: Placed, survey: PriorAlignment, grid: SectionGrid) -> dict[Journey, Correction] | None:
     """Return corrections of all journeys, placed within metres, on a survey; None where none of a vehicle is found."""
-    found = {journey: one.correction for journey, one in placed.items()}
+    corrections = {journey: where.correction for journey, where in placed.items()}
     vehicles = 0
     for vehicle in sorted({journey[0] for journey in placed}):
-        members = {journey: one for journey, one in placed.items() if journey[0] == vehicle}
+        members = {journey: where for journey, where in placed.items() if journey[0] == vehicle}
         on_survey = _Vehicle.of(members, survey, grid)
         moved = on_survey.moves() if on_survey.of_one_size() else None
         if moved is None:
             continue  # it keeps its places
         vehicles += 1
         middle = 0.5 * grid.length
-        for (journey, one), (offset, scale) in zip(members.items(), moved, strict=True):
-            found[journey] = compose(one.correction, Correction(float(offset), float(scale), middle))
-    return found if vehicles else None
+        for (journey, where), (offset, scale) in zip(members.items(), moved.tolist(), strict=True):
+            corrections[journey] = compose(where.correction, Correction(offset, scale, middle))
+    return corrections if vehicles else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,25 +90,25 @@ class _Vehicle:
         lives: dict[ProfileLife, int] = {}
         covered = np.isfinite(survey.std)
         passes = []
-        for number, item in ((k, item) for k, one in enumerate(members.values()) for item in one.passes):
+        for number, item in ((k, item) for k, where in enumerate(members.values()) for item in where.passes):
             if item.empty:
                 continue
             on = item.inside.copy()
             on[item.inside] &= covered[item.used_points]
-            at = np.asarray(item.points * grid.step, dtype=np.float64)
+            place = np.asarray(item.points * grid.step, dtype=np.float64)
             y, R = high_pass(item.displacement, grid.kernel), high_pass(item.side * item.difference, kernel)
             life = lives.setdefault(item.life, len(lives))
-            passes.append(_PassOnSurvey(number, life, at, y, R, valid_support(on, kernel)))
+            passes.append(_PassOnSurvey(number, life, place, y, R, valid_support(on, kernel)))
         return cls(passes, len(members), len(lives), survey, grid, kernel, p)
 
     def of_one_size(self) -> bool:
         """Whether the survey is not far larger than what the passes have measured."""
-        apart, own = 0.0, 0.0
+        apart, square = 0.0, 0.0
         for window_pass in self.passes:
             y = window_pass.displacement[window_pass.used]
             rest, _ = _displaced(window_pass, np.zeros(2), self.survey, self.grid)
-            apart, own = apart + float(rest[window_pass.used] @ rest[window_pass.used]), own + float(y @ y)
-        return apart <= self.parameters.most_apart**2 * own
+            apart, square = apart + float(rest[window_pass.used] @ rest[window_pass.used]), square + float(y @ y)
+        return apart <= self.parameters.most_apart**2 * square
 
     def moves(self) -> FloatArray | None:
         """Return by how much each journey is to be moved (j, 2): offset, m, and scale; None where that is not found."""
@@ -116,19 +116,19 @@ class _Vehicle:
         counts = np.zeros(self.journeys)
         for window_pass in self.passes:
             counts[window_pass.journey] += float(window_pass.used.sum())
-        known = counts >= p.least_points
+        enough = counts >= p.least_points
         moves = np.zeros((self.journeys, 2))
-        if not known.any():
+        if not enough.any():
             return moves
         for _ in range(p.rounds):
-            steps = np.where(known[:, None], self._steps(moves), 0.0)
+            steps = np.where(enough[:, None], self._steps(moves), 0.0)
             if not np.isfinite(steps).all():
                 return None
             largest = float(np.max(np.abs(steps[:, 0]), initial=0.0))
             moves = moves + steps * min(1.0, p.largest_step / max(largest, p.largest_step))
             if largest < p.tolerance:
-                middles = [(item, float(np.mean(item.at)) - 0.5 * self.grid.length) for item in self.passes]
-                moved = [moves[one.journey] @ [1.0, middle] for one, middle in middles]
+                middles = [float(np.mean(item.at)) - 0.5 * self.grid.length for item in self.passes]
+                moved = [moves[item.journey] @ [1.0, middle] for item, middle in zip(self.passes, middles, strict=True)]
                 return moves if float(np.max(np.abs(moved), initial=0.0)) <= p.farthest else None
         return None
 
@@ -137,19 +137,19 @@ class _Vehicle:
         k, curves = len(p.knots), len(p.knots) * self.lives
         moved = [_displaced(item, moves[item.journey], self.survey, self.grid) for item in self.passes]
         columns = [
-            high_pass(basis_functions(np.clip(x, p.knots[0], p.knots[-1]), p.knots), self.kernel)[:, one.used]
-            for one, (x, _) in zip(self.passes, moved, strict=True)
+            high_pass(basis_functions(np.clip(x, p.knots[0], p.knots[-1]), p.knots), self.kernel)[:, item.used]
+            for item, (x, _) in zip(self.passes, moved, strict=True)
         ]
         slopes, weights = self._curves(columns)
         unknowns = curves + 2 * self.journeys
         normal, right = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
-        for one, own, (x, slope_of_survey) in zip(self.passes, columns, moved, strict=True):
-            by_offset = -slopes[one.life][knot_shares(x, p.knots)[0]] * slope_of_survey
-            by_move = np.stack([by_offset, by_offset * (one.at - 0.5 * self.grid.length)])
-            design = np.concatenate([own, high_pass(by_move, self.kernel)[:, one.used]])
-            index = np.append(np.arange(k) + k * one.life, curves + 2 * one.journey + np.arange(2))
-            normal[np.ix_(index, index)] += weights[one.life] * (design @ design.T)
-            right[index] += weights[one.life] * (design @ one.difference[one.used])
+        for item, of_knots, (x, slope_of_survey) in zip(self.passes, columns, moved, strict=True):
+            by_offset = -slopes[item.life][knot_shares(x, p.knots)[0]] * slope_of_survey
+            by_move = np.stack([by_offset, by_offset * (item.at - 0.5 * self.grid.length)])
+            design = np.concatenate([of_knots, high_pass(by_move, self.kernel)[:, item.used]])
+            index = np.append(np.arange(k) + k * item.life, curves + 2 * item.journey + np.arange(2))
+            normal[np.ix_(index, index)] += weights[item.life] * (design @ design.T)
+            right[index] += weights[item.life] * (design @ item.difference[item.used])
         extra = np.full(unknowns, p.ridge * float(np.trace(normal[:curves, :curves])) / curves + 1e-30)
         place = p.correlated / self.grid.step / p.place_std**2
         extra[curves:] = np.tile([place, 1.0 / p.scale_std**2], self.journeys)
@@ -164,22 +164,22 @@ class _Vehicle:
         p = self.parameters
         slopes, weights = np.zeros((self.lives, len(p.knots) - 1)), np.ones(self.lives)
         for life in range(self.lives):
-            own = [pair for pair in zip(self.passes, columns, strict=True) if pair[0].life == life]
-            targets = [one.difference[one.used] for one, _ in own]
-            normal = np.sum([part @ part.T for _, part in own], axis=0)
-            right = np.sum([part @ target for (_, part), target in zip(own, targets, strict=True)], axis=0)
-            square = float(sum(target @ target for target in targets))
+            pairs = zip(self.passes, columns, strict=True)
+            rows = [(part, item.difference[item.used]) for item, part in pairs if item.life == life]
+            normal = np.sum([part @ part.T for part, _ in rows], axis=0)
+            right = np.sum([part @ target for part, target in rows], axis=0)
+            square = float(sum(target @ target for _, target in rows))
             ridge = p.ridge * float(np.trace(normal)) / len(p.knots) + 1e-30
             curve = np.linalg.solve(normal + ridge * np.eye(len(p.knots)), right)
-            left = max(square - float(curve @ right), 1e-6 * square)
+            rest = max(square - float(curve @ right), 1e-6 * square)
             slopes[life] = np.diff(curve) / np.diff(p.knots)
-            weights[life] = sum(len(target) for target in targets) / max(left, 1e-30)
+            weights[life] = sum(len(target) for _, target in rows) / max(rest, 1e-30)
         return slopes, weights
 
 
 def _displaced(
-    one: _PassOnSurvey, move: FloatArray, survey: PriorAlignment, grid: SectionGrid
+    item: _PassOnSurvey, move: FloatArray, survey: PriorAlignment, grid: SectionGrid
 ) -> tuple[FloatArray, FloatArray]:
-    at = one.at + move[0] + move[1] * (one.at - 0.5 * grid.length)
+    moved = item.at + move[0] + move[1] * (item.at - 0.5 * grid.length)
     slope = np.gradient(survey.alignment, grid.step)
-    return one.displacement - np.interp(at, grid.s, survey.alignment), np.interp(at, grid.s, slope)
+    return item.displacement - np.interp(moved, grid.s, survey.alignment), np.interp(moved, grid.s, slope)

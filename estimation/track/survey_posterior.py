@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from estimation.filters import high_pass, local_cubic_kernel, valid_support
+from estimation.filters import between_known, high_pass, local_cubic_kernel, valid_support
 from estimation.track.gridded_pass import Placed, SectionGrid
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.basis import Panel, unfiltered_residual
@@ -75,11 +75,11 @@ class SurveyBands:
 
     def coherent_std(self, longest: float) -> float:
         """Return the rms, m, of what followed the motion at wavelengths up to ``longest`` m."""
-        return float(np.sqrt(total_variance([np.array([one.coherent**2]) for one in self.up_to(longest)])[0]))
+        return float(np.sqrt(total_variance([np.array([band.coherent**2]) for band in self.up_to(longest)])[0]))
 
     def posterior_std(self, longest: float) -> FloatArray:
         """Return the std (n,), m, of the mean of survey and passes at wavelengths up to ``longest`` m."""
-        return np.sqrt(total_variance([one.variance for one in self.up_to(longest)]))
+        return np.sqrt(total_variance([band.variance for band in self.up_to(longest)]))
 
     def up_to(self, longest: float) -> tuple[Band, ...]:
         """Return the bands of wavelengths up to ``longest`` m."""
@@ -124,9 +124,9 @@ def survey_on_grid(survey: TrackAlignment, grid: SectionGrid) -> tuple[FloatArra
     step = float(survey.s[1] - survey.s[0])
     width = 2 * (round(grid.step / step) // 2) + 1  # odd: nothing is moved
     d = uniform_filter1d(np.where(certain, survey.alignment, 0.0), width, mode="nearest")
-    known = np.interp(grid.s, survey.s, certain.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
+    known = between_known(grid.s, survey.s, certain)
     std = np.interp(grid.s, survey.s, np.where(certain, survey.alignment_std, 0.0))
-    return np.where(known, np.interp(grid.s, survey.s, d), 0.0), std, np.asarray(known)
+    return np.where(known, np.interp(grid.s, survey.s, d), 0.0), std, known
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,16 +147,16 @@ def _bands_of(signals: FloatArray, kernels: Sequence[FloatArray]) -> FloatArray:
 def _passes(placed: Placed, solution: PanelSolution, panel: Panel, kernels: Sequence[FloatArray]) -> _Passes:
     shape = (len(kernels), panel.grid.points)
     total, (count, journeys, squares, crossed, counted) = np.zeros((2, *shape)), np.zeros((5, *shape))
-    for one in placed.values():
+    for where in placed.values():
         summed, passed = np.zeros((2, *shape)), np.zeros(shape)
-        for item, curve in solution.used(one.passes):
+        for item, curve in solution.used(where.passes):
             signals = np.stack([unfiltered_residual(item, curve, panel), item.displacement])
             weight, on = panel.weight_of(item.life), panel.grid.contains(item.points)
             for number, (band, kernel) in enumerate(zip(_bands_of(signals, kernels), kernels, strict=True)):
                 inside = valid_support(item.certain, kernel) & on
-                at = item.points[inside]
-                summed[:, number, at] += weight * band[:, inside]
-                passed[number, at] += weight
+                points = item.points[inside]
+                summed[:, number, points] += weight * band[:, inside]
+                passed[number, points] += weight
         total, count, journeys = total + summed, count + passed, journeys + (passed > 0)
         squares += summed[0] ** 2
         crossed += passed * summed[0]
@@ -184,7 +184,7 @@ def _band(
     length = 0.5 * np.sqrt(TRACK.band_edges[number] * shortest)  # m, of an independent sample
     independent = max(np.count_nonzero(compared) * step / length, 1.0)
     rest = np.where(compared, survey - passes.mean[number], 0.0)
-    fit, coherent, left = _coherent(rest, passes, number, compared, independent)
+    fit, coherent, by_chance = _coherent(rest, passes, number, compared, independent)
     rest = np.where(compared, rest - fit, 0.0)
     square = float(np.mean(rest[compared] ** 2))
     noise = np.full(len(survey), np.inf)
@@ -201,7 +201,7 @@ def _band(
         survey=survey,
         passes=np.where(compared, passes.mean[number] + fit, 0.0),
         survey_variance=learnt + excess,
-        passes_variance=noise + left + excess,
+        passes_variance=noise + by_chance + excess,
         coherent=coherent,
     )
 
@@ -216,11 +216,11 @@ def _learnt(
 ) -> float:
     """Return the variance, m2, of a survey in a band: what passes leave of their difference, and what is on file."""
     # where errors that all passes may have in common explain the difference, the passes say nothing but that it is all
-    known = square - of_passes
-    trust = (known / (known + systematic**2)) ** 2 if known > 0.0 else 0.0
+    of_survey = square - of_passes
+    trust = (of_survey / (of_survey + systematic**2)) ** 2 if of_survey > 0.0 else 0.0
     samples = trust * independent
     filed = min(of_file, square)
-    return (samples * max(known, 0.0) + parameters.filed_samples * filed) / (samples + parameters.filed_samples)
+    return (samples * max(of_survey, 0.0) + parameters.filed_samples * filed) / (samples + parameters.filed_samples)
 
 
 def _coherent(
@@ -278,7 +278,7 @@ class SurveyPosterior:
     @property
     def in_motion(self) -> FloatArray:
         """The survey (n,), m, with what differs in the waves that the published std is of."""
-        changed = np.sum([one.posterior - one.survey for one in self.bands.up_to(STATED)], axis=0)
+        changed = np.sum([band.posterior - band.survey for band in self.bands.up_to(STATED)], axis=0)
         return np.asarray(self.before.alignment + changed)
 
     @property
@@ -299,9 +299,8 @@ def survey_posterior(
         return None
     on_grid, filed, known = survey_on_grid(survey, grid)
     nothing = np.where(known, 0.0, np.nan)
-    gauge, gauge_std = (
-        np.interp(grid.s, survey.s, one) for one in (survey.gauge_deviation, survey.gauge_deviation_std)
-    )
+    gauge = np.interp(grid.s, survey.s, survey.gauge_deviation)
+    gauge_std = np.interp(grid.s, survey.s, survey.gauge_deviation_std)
     passes = np.interp(grid.s, survey.s, survey.passes.astype(np.float64))
     before = replace(
         survey,
@@ -313,11 +312,11 @@ def survey_posterior(
         passes=np.rint(passes).astype(np.int64),
     )
     d = bands.long_waves + np.sum([band.posterior for band in bands.bands], axis=0)
-    positions = [one for one in position_std(iterated).values() if np.isfinite(one)]
+    positions = [place_std for place_std in position_std(iterated).values() if np.isfinite(place_std)]
     of_positions = np.abs(np.gradient(d, grid.step)) * (float(np.median(positions)) if positions else 0.0)
     std = np.hypot(bands.posterior_std(STATED), of_positions)
     ratios_known = error_of_difference(iterated.ratios, iterated.passes) <= parameters.most_difference_error
-    found = replace(
+    after = replace(
         before,
         version=0,
         alignment=d + nothing,
@@ -326,7 +325,7 @@ def survey_posterior(
         scale_std=_scale_std(bands, iterated, survey, p),
         findings=findings(iterated, gauge_estimated=False)[0] if ratios_known else survey.findings,
     )
-    return SurveyPosterior(found, before, bands)
+    return SurveyPosterior(after, before, bands)
 
 
 def _scale_std(bands: SurveyBands, iterated: IterationResult, survey: TrackAlignment, p: SectionParameters) -> float:

@@ -135,15 +135,15 @@ class _Epoch:
 
     def weigh(self, survey: TrackAlignment) -> Weighed:
         """Return what the passes and a survey give, the survey with the std that the passes show of it."""
-        found = self._weighed(survey, survey)
-        factor = 1.0 if found.posterior is None else found.posterior.std_factor
+        weighed = self._weighed(survey, survey)
+        factor = 1.0 if weighed.posterior is None else weighed.posterior.std_factor
         if not 1.0 / self.settings.same_survey_std <= factor <= self.settings.same_survey_std:
             again = self._weighed(replace(survey, alignment_std=factor * survey.alignment_std), survey)
             # held less by the survey, the journeys of a wheelset alone may come to rest at another wave of the track
-            before, after = (one.estimate.iterated for one in (found, again))
+            before, after = weighed.estimate.iterated, again.estimate.iterated
             lost = before is not None and before.placed_on_survey and (after is None or not after.placed_on_survey)
-            found = found if lost else again
-        return found
+            weighed = weighed if lost else again
+        return weighed
 
     def _weighed(self, prior: TrackAlignment, survey: TrackAlignment) -> Weighed:
         estimate = self.estimate(prior)
@@ -177,8 +177,8 @@ class _Epoch:
     def judge_gauge(self, estimate: SectionEstimate, survey: TrackAlignment) -> Reason | None:
         """Return what is wrong with a surveyed gauge; None where nothing is, or nothing has been decided yet."""
         converged, section = estimate.report.converged, self.settings.section
-        found = judge_gauge(estimate.iterated, survey, converged=converged, parameters=section)
-        return None if found is None else prefixed(GAUGE_NOT_USED, found)
+        reason = judge_gauge(estimate.iterated, survey, converged=converged, parameters=section)
+        return None if reason is None else prefixed(GAUGE_NOT_USED, reason)
 
     def update(
         self,
@@ -195,8 +195,8 @@ def _without_surveyed_alignment(
 ) -> AlignmentUpdate:
     surveyed = in_force is not None and in_force.source == AlignmentSource.RECORDED
     cutoff = epoch.parameters.cutoff_wavelength
-    known = in_force is not None and (surveyed or in_force.cutoff_wavelength == cutoff)
-    usable = known and not (surveyed and survey_checked)  # of a gauge alone nothing is said unless it is refused
+    comparable = in_force is not None and (surveyed or in_force.cutoff_wavelength == cutoff)
+    usable = comparable and not (surveyed and survey_checked)  # of a gauge alone nothing is said unless it is refused
     estimate = epoch.estimate(in_force if usable else None)
     gauge = epoch.judge_gauge(estimate, in_force) if in_force is not None and surveyed and usable else None
     if gauge is not None:
@@ -244,17 +244,17 @@ def _extended(
     kept = epoch.update(UpdateOutcome.SURVEY_KEPT, _placed_on_survey(weighed.estimate), survey, survey=reason)
     posterior, doubted, settings = weighed.posterior, verdict.doubted_scale, epoch.settings
     if (decided or doubted > 0.0) and posterior is not None and weighed.estimate.report.converged:
-        found = carry_over_findings(posterior.alignment, posterior.before)  # on one grid
-        found = replace(found, scale_std=float(np.hypot(found.scale_std, doubted)))
-        in_motion = replace(found, alignment=posterior.in_motion)
-        std, std_now = (float(np.nanmedian(one.alignment_std)) for one in (posterior.before, found))
+        after = carry_over_findings(posterior.alignment, posterior.before)  # on one grid
+        after = replace(after, scale_std=float(np.hypot(after.scale_std, doubted)))
+        in_motion = replace(after, alignment=posterior.in_motion)
+        std, std_now = (float(np.nanmedian(track.alignment_std)) for track in (posterior.before, after))
         first = not posterior.before.passes.any()
         if (
             (first and std > settings.same_least and std_now < TRACK.sharper_std_share * std)
             or requires_reestimation(posterior.before, in_motion, settings)
             or posterior.before.scale_std < settings.same_std * doubted
         ):
-            return replace(kept, outcome=UpdateOutcome.SURVEY_EXTENDED, alignment=found)
+            return replace(kept, outcome=UpdateOutcome.SURVEY_EXTENDED, alignment=after)
     return _with_gauge_shifts(kept, survey, epoch.vehicles, settings)
 
 
@@ -277,9 +277,9 @@ def _without_gauge(epoch: _Epoch, survey: TrackAlignment, reason: Reason | None)
         findings=None,
     )
     estimate = epoch.estimate(alone)
-    found = estimate.alignment
-    if found is not None:
-        alone = replace(alone, gauge_deviation_std=np.full_like(of_gauge, np.median(found.gauge_deviation_std)))
+    if estimate.alignment is not None:
+        left_open = np.median(estimate.alignment.gauge_deviation_std)
+        alone = replace(alone, gauge_deviation_std=np.full_like(of_gauge, left_open))
     return epoch.update(UpdateOutcome.SURVEY_EXTENDED, _placed_on_survey(estimate), alone, survey=reason)
 
 
@@ -332,18 +332,18 @@ def _mistake(epoch: _Epoch, survey: TrackAlignment, without: SectionEstimate) ->
 def _with_gauge_shifts(
     kept: AlignmentUpdate, survey: TrackAlignment, vehicles: Mapping[str, str], settings: AlignmentSettings
 ) -> AlignmentUpdate:
-    found = kept.estimate.alignment
+    of_epoch = kept.estimate.alignment
     varies = survey.gauge_known and float(np.std(survey.gauge_deviation)) >= WHEELS.least_gauge_std
     if not varies or not kept.estimate.report.converged:
         return kept
-    if found is None or found.findings is None or not found.findings.gauge_shifts:
+    if of_epoch is None or of_epoch.findings is None or not of_epoch.findings.gauge_shifts:
         return kept
-    extended = carry_over_findings(replace(survey, findings=found.findings), survey)
+    extended = carry_over_findings(replace(survey, findings=of_epoch.findings), survey)
     new = (
         requires_reestimation(survey, extended, settings)
         or changed_vehicles(survey, extended, settings, vehicles)
         or gauge_shift_changed(survey, extended, settings)
-        or found.findings.gauge_shifts.keys() - (survey.findings.gauge_shifts.keys() if survey.findings else set())
+        or of_epoch.findings.gauge_shifts.keys() - (survey.findings.gauge_shifts.keys() if survey.findings else set())
     )
     if not new:
         return kept

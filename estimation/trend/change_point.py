@@ -15,6 +15,7 @@ is then of both sides; each has its own outliers, found one after the other.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -69,6 +70,9 @@ class StepModel:
     least_change_ratio: float = 1.0  # of a median change over the least size, below which no hypothesis is computed
 
 
+CONICITY = StepModel()
+
+
 @dataclass(frozen=True, slots=True)
 class ChangePoint:
     """A step between two points; those between ``last`` and ``first`` may be of either side."""
@@ -95,16 +99,16 @@ class Series(NamedTuple):
         return Series(*(column[first:last] for column in self))
 
 
-def newest_change(series: Series, model: StepModel | None = None) -> ChangePoint | None:
+def newest_change(series: Series, model: StepModel = CONICITY) -> ChangePoint | None:
     """Return the newest step; None where there is none."""
-    model, begin, newest = model or StepModel(), 0, None
+    begin, newest = 0, None
     while True:  # the newest of the steps among the largest changes of a stretch, then of what is behind it
         stretch = series.part(begin, len(series.value))
         judged = (_judged(stretch, place, model) for place in sorted(_places(stretch, model), reverse=True))
-        found = next((one for one in judged if one is not None), None)
-        if found is None:
+        step = next((change for change in judged if change is not None), None)
+        if step is None:
             return newest
-        newest = replace(found, last=begin + found.last, first=begin + found.first)
+        newest = replace(step, last=begin + step.last, first=begin + step.first)
         begin = newest.first
 
 
@@ -112,13 +116,13 @@ def _places(series: Series, model: StepModel) -> list[int]:
     k, least = len(series.value), model.least_points
     if k < 2 * least:
         return []
-    at = np.arange(least, k - least + 1)
-    change = np.array([_median_change(series, int(one), model) for one in at])
+    places = np.arange(least, k - least + 1)
+    change = np.array([_median_change(series, place, model) for place in places.tolist()])
     size = np.concatenate([[0.0], np.abs(change), [0.0]])
     peak = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])
     peak &= np.abs(change) > model.least_change_ratio * model.least_size
     order = np.argsort(-np.abs(change[peak]), kind="stable")
-    return [int(one) for one in at[peak][order][: model.most_places]]
+    return places[peak][order][: model.most_places].tolist()  # type: ignore[no-any-return]
 
 
 def _median_change(series: Series, at: int, model: StepModel) -> float:
@@ -149,18 +153,17 @@ def _judged(series: Series, place: int, model: StepModel) -> ChangePoint | None:
         return None
     about = range(max(least, at - model.places_around), min(len(window.value) - least, at + model.places_around) + 1)
     places = [_Place(i - width, i) for i in about for width in range(1, model.widest + 1) if i - width >= least - 1]
-    steps = [(at, one) for at in places if points.carry(at, one := points.evidence(at))]
+    steps = [(where, evidence) for where in places if points.carry(where, evidence := points.evidence(where))]
     if not steps:
         return None
-    log_odds = np.array([one.log_evidence for _, one in steps]) + np.log(model.step_chance) - nothing.log_evidence
+    log_evidence = np.array([evidence.log_evidence for _, evidence in steps])
+    log_odds = log_evidence + np.log(model.step_chance) - nothing.log_evidence
     probability = float(1.0 - 1.0 / (1.0 + np.exp(np.minimum(log_odds, 500.0)).sum()))
     likeliest = steps[int(np.argmax(log_odds))][1]
     if min(probability, likeliest.probability_beyond(model.least_size)) < model.sure:
         return None
-    as_likely = [
-        one for (one, _), odds in zip(steps, log_odds, strict=True) if odds >= log_odds.max() - model.alike_log_odds
-    ]
-    last, behind = first + min(one.last for one in as_likely), first + max(one.first for one in as_likely)
+    as_likely = [where for where, _ in compress(steps, log_odds >= log_odds.max() - model.alike_log_odds)]
+    last, behind = first + min(where.last for where in as_likely), first + max(where.first for where in as_likely)
     level = float(np.median(series.value[max(0, last + 1 - model.points_beside) : last + 1]))
     return ChangePoint(last, behind, probability, likeliest.size, likeliest.std, last + 1, level)
 
@@ -214,11 +217,12 @@ class _Points:
     def evidence(self, place: _Place | None) -> _Evidence:
         """Return the evidence of a step, or of none, with the outliers that suit it best."""
         number = np.arange(len(self.value))
-        last, at = place or (len(number), len(number))
-        step = 0.5 * ((number > last) * 1.0 + (number >= at))
+        last, first = place or (len(number), len(number))
+        mixed = (number > last) & (number < first)
+        step = np.where(mixed, self.model.mixed_share, number >= first)
         covariance = self.covariance + self.model.step_std**2 * np.outer(step, step)
-        covariance += (self.model.mixed_share_std * self.model.step_std) ** 2 * np.diag(step == self.model.mixed_share)
-        out = self._begin(at)
+        covariance += (self.model.mixed_share_std * self.model.step_std) ** 2 * np.diag(mixed)
+        out = self._begin(first)
         best = None
         for _ in range(self.model.most_flips):
             inverse, log_evidence = self._inverse(covariance, out)
@@ -233,26 +237,26 @@ class _Points:
         total, inverse, log_evidence, out = best  # type: ignore[misc]  # there was a first round
         weight = np.exp(log_evidence - total)
         sizes = self.model.step_std**2 * np.einsum("i,fij,j->f", step, inverse, self.value)
-        left = 1.0 - self.model.step_std**2 * np.einsum("i,fij,j->f", step, inverse, step)
-        return _Evidence(total, weight, sizes, self.model.step_std * np.sqrt(np.maximum(left, 1e-12)), out)
+        open_share = 1.0 - self.model.step_std**2 * np.einsum("i,fij,j->f", step, inverse, step)
+        return _Evidence(total, weight, sizes, self.model.step_std * np.sqrt(np.maximum(open_share, 1e-12)), out)
 
     def carry(self, place: _Place, evidence: _Evidence) -> bool:
         """Return whether enough points on both sides are good, or outliers that are not of the other side."""
         sides = slice(0, place.last + 1), slice(place.first, None)
         good = [~evidence.out[side] for side in sides]
-        if min(one.sum() for one in good) < self.model.least_good:
+        if min(of_side.sum() for of_side in good) < self.model.least_good:
             return False
         count = self.model.points_beside
         nearest = zip(sides, good, (slice(-count, None), slice(count)), strict=True)
-        before, behind = (np.median(self.value[side][one][keep]) for side, one, keep in nearest)
+        before, behind = (np.median(self.value[side][of_side][keep]) for side, of_side, keep in nearest)
         off = self.model.outlier_share * abs(evidence.size)
         apart = [np.abs(self.value[side] - level) > off for side, level in zip(sides, (behind, before), strict=True)]
-        return min(int((one | left).sum()) for one, left in zip(good, apart, strict=True)) >= self.model.least_points
+        counts = [int((of_side | off_other).sum()) for of_side, off_other in zip(good, apart, strict=True)]
+        return min(counts) >= self.model.least_points
 
-    def _begin(self, at: int) -> BoolArray:
-        apart = np.concatenate(
-            [side - _running_median(side, self.model) for side in (self.value[:at], self.value[at:])]
-        )
+    def _begin(self, first: int) -> BoolArray:
+        sides = self.value[:first], self.value[first:]
+        apart = np.concatenate([side - _running_median(side, self.model) for side in sides])
         scale = STD_PER_MAD * np.median(np.abs(apart)) + self.model.noise_floor
         return np.asarray(np.abs(apart) > self.model.outlier_deviations * scale)
 
@@ -266,10 +270,10 @@ class _Points:
         whitened = np.linalg.inv(factor)
         log_size = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         inverse = np.einsum("fki,fkj->fij", whitened, whitened)
-        left = whitened @ self.value
+        residual = whitened @ self.value
         prior = -0.5 * ((np.log(NOISE_SHARES) - np.log(self.model.usual_noise_share)) / self.model.noise_spread) ** 2
         prior -= np.logaddexp.reduce(prior)
-        return inverse, prior + self._log_prior(out) - log_size - 0.5 * (left**2).sum(axis=1)
+        return inverse, prior + self._log_prior(out) - log_size - 0.5 * (residual**2).sum(axis=1)
 
     def _log_prior(self, out: BoolArray) -> float:
         m = self.model

@@ -61,21 +61,21 @@ def conicity_at_limit_amplitude(geometry: WheelsetGeometry) -> Estimate:
     pairs = list(zip(geometry.amplitude.tolist(), geometry.conicity, strict=True))
     if np.isfinite(geometry.reported_amplitude):
         pairs.append((geometry.reported_amplitude, geometry.equivalent_conicity))
-    known = sorted(((a, e) for a, e in pairs if e.status is Status.ESTIMATED), key=lambda pair: pair[0])
-    covered = [e for a, e in known if abs(a - LIMIT_AMPLITUDE) < SAME_AMPLITUDE]
+    estimated = sorted(((a, e) for a, e in pairs if e.status is Status.ESTIMATED), key=lambda pair: pair[0])
+    covered = [e for a, e in estimated if abs(a - LIMIT_AMPLITUDE) < SAME_AMPLITUDE]
     if covered:
         return covered[-1]
     below = below_limit(geometry)
-    if not known:
+    if not estimated:
         return geometry.equivalent_conicity
     if not below:
-        return Estimate.unknown(not_comparable(known[0][0]), known[0][1].count)
-    amplitude, count = below[-1].amplitude, known[len(below) - 1][1].count
-    found = extrapolated(below)
-    if found is None:
+        return Estimate.unknown(not_comparable(estimated[0][0]), estimated[0][1].count)
+    amplitude, count = below[-1].amplitude, estimated[len(below) - 1][1].count
+    beyond = extrapolated(below)
+    if beyond is None:
         return Estimate.unknown(not_comparable(amplitude), count)
-    low, high = (found.mixture().quantile(share) for share in (0.025, 0.975))
-    return Estimate(found.value, found.std, low, high, count, Status.ESTIMATED, extrapolated_from(amplitude))
+    low, high = (beyond.mixture().quantile(share) for share in (0.025, 0.975))
+    return Estimate(beyond.value, beyond.std, low, high, count, Status.ESTIMATED, extrapolated_from(amplitude))
 
 
 def below_limit(geometry: WheelsetGeometry) -> list[KnownConicity]:
@@ -128,9 +128,9 @@ def _extrapolated(points: tuple[KnownConicity, ...], family: WornFamily) -> Extr
     weight, width = weighed
     counts = weight > CURVES.negligible_weight
     weight, change = weight[counts], (_at(family, LIMIT_AMPLITUDE) - members[:, 0])[counts]
-    level, measured_std, left = _local_fit(error[counts], covariance, width, weight, change)
-    spread = float(np.sqrt(weight @ left**2 / weight.sum()))
-    result = Extrapolation(largest.value + level, measured_std, spread, _quantiles(left, weight))
+    level, measured_std, rest = _local_fit(error[counts], covariance, width, weight, change)
+    spread = float(np.sqrt(weight @ rest**2 / weight.sum()))
+    result = Extrapolation(largest.value + level, measured_std, spread, _quantiles(rest, weight))
     return result if result.std <= CURVES.largest_conicity_std and result.value > 0.0 else None
 
 
@@ -149,7 +149,7 @@ def _at(family: WornFamily, amplitude: float) -> FloatArray:
 
 
 def _covariance(shown: Sequence[KnownConicity]) -> FloatArray:
-    amplitude, std = (np.array([getattr(one, name) for one in shown]) for name in ("amplitude", "std"))
+    amplitude, std = (np.array([getattr(conicity, name) for conicity in shown]) for name in ("amplitude", "std"))
     near = np.exp(-np.abs(np.subtract.outer(amplitude, amplitude)) / CURVES.near_amplitude)
     return np.asarray(np.outer(std, std) * (CURVES.shared_error_share + (1.0 - CURVES.shared_error_share) * near))
 
@@ -188,17 +188,17 @@ def _local_fit(
     design = np.column_stack([np.ones(len(error)), error / width])
     normal = (design * weight[:, np.newaxis]).T @ design + CURVES.ridge_weight * np.diag([0.0] + [1.0] * len(width))
     level, *slopes = np.linalg.solve(normal, design.T @ (weight * change))
-    left = change - design @ np.array([level, *slopes])
+    rest = change - design @ np.array([level, *slopes])
     gradient = np.array(slopes) / width
     gradient[0] += 1.0
-    return float(level), float(np.sqrt(gradient @ covariance @ gradient)), left
+    return float(level), float(np.sqrt(gradient @ covariance @ gradient)), rest
 
 
-def _quantiles(left: FloatArray, weight: FloatArray) -> tuple[float, ...]:
-    order = np.argsort(left)
+def _quantiles(rest: FloatArray, weight: FloatArray) -> tuple[float, ...]:
+    order = np.argsort(rest)
     counted = np.cumsum(weight[order]) - 0.5 * weight[order]
     shares = (np.arange(CURVES.spread_values) + 0.5) / CURVES.spread_values
-    values = np.interp(shares * weight.sum(), counted, left[order])
+    values = np.interp(shares * weight.sum(), counted, rest[order])
     return tuple((values - values.mean()).tolist())
 
 
@@ -258,16 +258,17 @@ def conicity_points(records: Sequence[IntervalConicities]) -> TrendPoints:
 
 
 def _extrapolated_points(having: Sequence[_Covered], chosen: int, notes: Sequence[Reason]) -> TrendPoints | None:
-    found = []
+    tried = []
     for record, covered in having if chosen < _PREFERRED else ():
         smaller = [covered[key]._replace(amplitude=key * SAME_AMPLITUDE) for key in sorted(covered) if key <= chosen]
-        found.append((record, extrapolated(smaller)))
-    known = [(record, one) for record, one in found if one is not None]
-    if not known or found[-1][1] is None or len(known) < CURVES.covering_share * len(found):
+        tried.append((record, extrapolated(smaller)))
+    extrapolations = [(record, extrapolation) for record, extrapolation in tried if extrapolation is not None]
+    if not extrapolations or tried[-1][1] is None or len(extrapolations) < CURVES.covering_share * len(tried):
         return None
-    points = tuple(_point(record, one) for record, one in known)
+    points = tuple(_point(record, extrapolation) for record, extrapolation in extrapolations)
     note = combined([extrapolated_from(chosen * SAME_AMPLITUDE), *notes])
-    return TrendPoints(QUANTITY, LIMIT_AMPLITUDE, points, note, max(one.spread for _, one in known))
+    spread = max(extrapolation.spread for _, extrapolation in extrapolations)
+    return TrendPoints(QUANTITY, LIMIT_AMPLITUDE, points, note, spread)
 
 
 def _amplitude(covered: Sequence[Mapping[int, KnownConicity]]) -> int:
@@ -282,7 +283,7 @@ def _amplitude(covered: Sequence[Mapping[int, KnownConicity]]) -> int:
 
 def by_amplitude(record: IntervalConicities) -> dict[int, KnownConicity]:
     """Return the conicities of an interval by amplitude in ``SAME_AMPLITUDE``."""
-    return {round(one.amplitude / SAME_AMPLITUDE): one for one in record.known}
+    return {round(conicity.amplitude / SAME_AMPLITUDE): conicity for conicity in record.known}
 
 
 def _point(record: IntervalConicities, conicity: KnownConicity | Extrapolation) -> TrendPoint:

@@ -111,11 +111,11 @@ class LimitState:
         of_trend = self._above(self.conicity, limit)
         if of_trend is None:
             return None
-        known = [(self.conicity, of_trend)]
+        ways = [(self.conicity, of_trend)]
         if len(self.last) == SCALE.last_points:
-            points = [(one, self._above(one, limit) or 0.0) for one in self.last]
-            known.append(min(points, key=lambda pair: pair[1]))
-        conicity, probability = max(known, key=lambda pair: pair[1])
+            points = [(point, self._above(point, limit) or 0.0) for point in self.last]
+            ways.append(min(points, key=lambda pair: pair[1]))
+        conicity, probability = max(ways, key=lambda pair: pair[1])
         return Against(conicity, LIMIT_AMPLITUDE, probability)
 
     def at_reached(self, limit: float) -> Against | None:
@@ -158,18 +158,18 @@ def limit_state(geometry: WheelsetGeometry, trend: WearTrend | None) -> LimitSta
         conicity = conicity_at_limit_amplitude(geometry)
     amplitude = geometry.reported_amplitude
     reaches = CURVES.least_amplitude - SAME_AMPLITUDE < amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE
-    known = reaches and geometry.equivalent_conicity.status is Status.ESTIMATED
-    beyond = extrapolated(below_limit(geometry)) if known else None
+    extrapolates = reaches and geometry.equivalent_conicity.status is Status.ESTIMATED
+    beyond = extrapolated(below_limit(geometry)) if extrapolates else None
     last: list[Estimate] = []
     if trend is not None and conicity is fitted:
         pairs = zip(trend.value[-SCALE.last_points :].tolist(), trend.std[-SCALE.last_points :].tolist(), strict=True)
         last = [with_interval(value, std) for value, std in pairs]
     left_open = any(
-        CURVES.least_amplitude - SAME_AMPLITUDE < at < LIMIT_AMPLITUDE + SAME_AMPLITUDE
-        and code_of(one.reason) is ReasonCode.CONICITY_OPEN
-        for at, one in zip(geometry.amplitude.tolist(), geometry.conicity, strict=True)
+        CURVES.least_amplitude - SAME_AMPLITUDE < place < LIMIT_AMPLITUDE + SAME_AMPLITUDE
+        and code_of(estimate.reason) is ReasonCode.CONICITY_OPEN
+        for place, estimate in zip(geometry.amplitude.tolist(), geometry.conicity, strict=True)
     )
-    if not known:
+    if not extrapolates:
         return LimitState(conicity, last=last, left_open=left_open)
     return LimitState(conicity, geometry.equivalent_conicity, amplitude, last, beyond, left_open)
 
@@ -232,8 +232,8 @@ def probability_within(trend: WearTrend, run_km: float, distance_km: float) -> f
     """Return the greatest probability of being over the limit on a way that begins ``run_km`` behind the last point."""
     ends = [probability_ahead(trend, at_km) for at_km in (run_km, run_km + distance_km)]
     on_the_way = (trend.ahead_km > run_km) & (trend.ahead_km < run_km + distance_km)
-    known = [over for over in (*ends, *trend.over_ahead[on_the_way].tolist()) if over is not None]
-    return max(known) if None not in ends else None
+    probabilities = [over for over in (*ends, *trend.over_ahead[on_the_way].tolist()) if over is not None]
+    return max(probabilities) if None not in ends else None
 
 
 def _ahead(now: LimitNow, trend: WearTrend) -> LimitNow:

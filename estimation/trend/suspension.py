@@ -21,7 +21,7 @@ from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.trend import SuspensionChange, SuspensionFinding
 from estimation.values.units import DAY_NS, MEDIAN_VARIANCE, STD_PER_MAD
 
-STEP = StepModel(
+RATIO = StepModel(
     slope=0.0,
     slope_std=0.0,
     bend_std=0.0,
@@ -78,10 +78,10 @@ def suspension_histories(
     """Return by vehicle how its ratio had changed after each of its findings, newest first."""
     # Computed as far as read. The other vehicles are as they are known now: late data of theirs count, too.
     p = parameters or SuspensionParameters()
-    own: dict[str, list[SuspensionFinding]] = {}
+    of_vehicle: dict[str, list[SuspensionFinding]] = {}
     for item in findings:
-        own.setdefault(item.vehicle, []).append(item)
-    by_vehicle = {code: _series(own[code], p) for code in sorted(own)}
+        of_vehicle.setdefault(item.vehicle, []).append(item)
+    by_vehicle = {code: _series(of_vehicle[code], p) for code in sorted(of_vehicle)}
     sections = _by_section(by_vehicle)
     return {code: _history(code, series, sections, p) for code, series in by_vehicle.items()}
 
@@ -90,12 +90,12 @@ def _history(
     code: str, series: _Series, sections: Mapping[str, _Section], p: SuspensionParameters
 ) -> Iterator[SuspensionChange]:
     for count in range(len(series.findings), p.least_past + p.recent - 1, -1):
-        known = _Series(series.findings[:count], series.level[:count], series.variance[:count], count - p.recent)
-        yield _change(code, known, sections, p)
+        until_then = _Series(series.findings[:count], series.level[:count], series.variance[:count], count - p.recent)
+        yield _change(code, until_then, sections, p)
 
 
-def _series(own: Sequence[SuspensionFinding], p: SuspensionParameters) -> _Series:
-    ordered = sorted(own, key=lambda item: (item.to_ns, item.section))[-(p.recent + p.most_past) :]
+def _series(findings: Sequence[SuspensionFinding], p: SuspensionParameters) -> _Series:
+    ordered = sorted(findings, key=lambda item: (item.to_ns, item.section))[-(p.recent + p.most_past) :]
     level = np.array([np.log(item.ratio * item.assumed) for item in ordered])
     variance = np.array([(item.ratio_std / item.ratio) ** 2 for item in ordered])
     return _Series(ordered, level, variance + p.own_creep_std**2, max(0, len(ordered) - p.recent))
@@ -118,8 +118,8 @@ class _Section:
             if self.vehicle[k] == code or self.to_ns[k] < item.from_ns - within_ns:
                 continue
             apart = abs(int(self.from_ns[k]) + int(self.to_ns[k]) - item.from_ns - item.to_ns)
-            found = (apart, float(self.shift[k]))
-            nearest[self.vehicle[k]] = min(found, nearest.get(self.vehicle[k], found))
+            candidate = (apart, float(self.shift[k]))
+            nearest[self.vehicle[k]] = min(candidate, nearest.get(self.vehicle[k], candidate))
         return {other: shift for other, (_, shift) in nearest.items()}
 
 
@@ -153,7 +153,7 @@ def _change(code: str, series: _Series, sections: Mapping[str, _Section], p: Sus
     # friction that is left makes the levels wander
     at_ns = np.array([0.5 * (item.from_ns + item.to_ns) for item in series.findings])
     points = Series(np.zeros(len(level)), at_ns, level, np.sqrt(series.variance))
-    step = newest_change(points, replace(STEP, wander_std=float(np.sqrt(friction.mean()))))
+    step = newest_change(points, replace(RATIO, wander_std=float(np.sqrt(friction.mean()))))
     past, first = (series.past, series.past) if step is None else (step.last + 1, step.first)
     sides = (slice(0, past), slice(first, None))
     before, now = (float(weight[side] @ level[side] / weight[side].sum()) for side in sides)
@@ -181,9 +181,9 @@ def _common(shifts: Sequence[float], p: SuspensionParameters) -> tuple[float, fl
     if not shifts:
         return 0.0, prior
     middle = float(np.median(shifts))
-    own = max(2.0 * p.own_creep_std**2, _scatter(shifts, middle, p) ** 2) * MEDIAN_VARIANCE / len(shifts)
-    worth = prior / (prior + own)
-    return worth * middle, worth * own
+    sampled = max(2.0 * p.own_creep_std**2, _scatter(shifts, middle, p) ** 2) * MEDIAN_VARIANCE / len(shifts)
+    worth = prior / (prior + sampled)
+    return worth * middle, worth * sampled
 
 
 def _scatter(shifts: Sequence[float], middle: float, p: SuspensionParameters) -> float:

@@ -8,11 +8,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimation.trend.change_point import ChangePoint, Series, StepModel, newest_change
+from estimation.trend.change_point import CONICITY, ChangePoint, Series, newest_change
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, by_amplitude
 from estimation.trend.now import QUANTILES, probability_above
 from estimation.trend.parameters import CURVES
-from estimation.trend.wear_curve import POINTS_FOR_OUTLIERS, WearCurve, fit_wear_curve
+from estimation.trend.wear_curve import WearCurve, fit_wear_curve
 from estimation.values.alerts import NO_FORECAST
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.geometry import IntervalConicities, KnownConicity
@@ -74,7 +74,6 @@ class TrendParameters:
     newest_points: int = 8  # intervals
     points_before: int = 24
     points_looked_back: int = 12  # intervals behind a step of which one showed it first
-    least_std: float = 1e-6  # a std below it is not credible
 
 
 def refresh(
@@ -111,7 +110,7 @@ def refresh(
     )
     lacking = _lacking(columns, params)
     if lacking is not None:
-        why = replace(lacking, text="; ".join(str(one) for one in (note, lacking) if one is not None))
+        why = replace(lacking, text="; ".join(str(reason) for reason in (note, lacking) if reason is not None))
         code = lacking.code if note is None or usable else note.code
         trend = _unestimated(columns, limit, quantity, replace(why, code=code))
     else:
@@ -218,8 +217,6 @@ def _forecast(curve: WearCurve, limit: float, horizon: float) -> Forecast:
     return Forecast(*(curve.reaches(limit, probability, horizon) for probability in QUANTILES.values()))
 
 
-ENOUGH_BEHIND = POINTS_FOR_OUTLIERS  # points among which a trend finds an outlier; with fewer it says so
-
 _Covered = tuple[IntervalConicities, Mapping[int, KnownConicity]]  # with its conicities by amplitude in micrometres
 
 
@@ -227,34 +224,33 @@ def newest_step(records: Sequence[IntervalConicities], params: TrendParameters) 
     """Return the newest sudden change of the conicity of a wheelset; None where there is none."""
     # it is looked for at the largest amplitude up to 3 mm that intervals on both sides cover, never by extrapolation: a
     # profile that was turned moves further than before
-    model = StepModel()
-    covered = sorted(((r, by_amplitude(r)) for r in records), key=lambda one: (one[0].mileage_km, one[0].from_ns))
-    amplitude = _amplitude([known for _, known in covered if known], 2 * model.least_points, params)
-    having = [(r, known) for r, known in covered if amplitude in known]
-    if len(having) < 2 * model.least_points:
+    covered = [(r, by_amplitude(r)) for r in sorted(records, key=lambda record: (record.mileage_km, record.from_ns))]
+    amplitude = _amplitude([conicities for _, conicities in covered if conicities], 2 * CONICITY.least_points, params)
+    having = [(r, conicities[amplitude]) for r, conicities in covered if amplitude in conicities]
+    if len(having) < 2 * CONICITY.least_points:
         return None
     series = Series(
         np.array([r.mileage_km for r, _ in having], dtype=np.float64),
         np.array([0.5 * (r.from_ns + r.to_ns) for r, _ in having], dtype=np.float64),
-        np.array([known[amplitude].value for _, known in having], dtype=np.float64),
-        np.maximum([known[amplitude].std for _, known in having], params.least_std),
+        np.array([conicity.value for _, conicity in having], dtype=np.float64),
+        np.maximum([conicity.std for _, conicity in having], params.smallest_std),
     )
-    found = newest_change(series, model)
-    if found is None:
+    change = newest_change(series)
+    if change is None:
         return None
-    before, after = having[found.last][0], having[found.first][0]
+    before, after = having[change.last][0], having[change.first][0]
     return TrendStep(
         before_km=before.mileage_km,
         after_km=after.mileage_km,
         before_ns=min(before.to_ns, after.from_ns),
         after_ns=after.from_ns,
-        found_ns=having[_shown_by(series, found, model, params)][0].to_ns,
-        size=with_interval(found.size, found.std, count=float(len(having) - found.first)),
-        level_before=found.level,
+        found_ns=having[_shown_by(series, change, params)][0].to_ns,
+        size=with_interval(change.size, change.std, count=float(len(having) - change.first)),
+        level_before=change.level,
         amplitude=amplitude * SAME_AMPLITUDE,
-        probability=found.probability,
-        before=found.before,
-        behind=len(having) - found.first,
+        probability=change.probability,
+        before=change.before,
+        behind=len(having) - change.first,
     )
 
 
@@ -265,9 +261,10 @@ def behind_step(records: Sequence[IntervalConicities], step: TrendStep | None) -
 
 def with_step(trend: WearTrend, step: TrendStep) -> WearTrend:
     """Return the trend of the points behind a step; where they are few it says so and forecasts nothing."""
-    if len(trend.value) >= ENOUGH_BEHIND:
+    enough = CURVES.points_for_outliers  # with fewer a trend finds no outlier
+    if len(trend.value) >= enough:
         return replace(trend, step=step)
-    text = f"{len(trend.value)} intervals behind a step at {step.after_km:,.0f} km, {ENOUGH_BEHIND} are enough"
+    text = f"{len(trend.value)} intervals behind a step at {step.after_km:,.0f} km, {enough} are enough"
     few = Reason(ReasonCode.BEHIND_STEP, text)
 
     def marked(estimate: Estimate) -> Estimate:
@@ -286,13 +283,13 @@ def with_step(trend: WearTrend, step: TrendStep) -> WearTrend:
     )
 
 
-def _shown_by(series: Series, found: ChangePoint, model: StepModel, params: TrendParameters) -> int:
-    k = len(series.value)
-    for until in range(found.first + model.least_points, min(k, found.first + params.points_looked_back)):
-        earlier = newest_change(series.part(0, until), model)
-        if earlier is not None and earlier.first > found.last:
+def _shown_by(series: Series, change: ChangePoint, params: TrendParameters) -> int:
+    last = min(len(series.value), change.first + params.points_looked_back)
+    for until in range(change.first + CONICITY.least_points, last):
+        earlier = newest_change(series.part(0, until))
+        if earlier is not None and earlier.first > change.last:
             return until - 1
-    return min(k, found.first + params.points_looked_back) - 1
+    return last - 1
 
 
 def _amplitude(covered: Sequence[Mapping[int, KnownConicity]], newest: int, params: TrendParameters) -> int:
@@ -302,9 +299,9 @@ def _amplitude(covered: Sequence[Mapping[int, KnownConicity]], newest: int, para
     limit = round(LIMIT_AMPLITUDE / SAME_AMPLITUDE)
     recent = params.newest_points
     sides = covered[-recent:], covered[-recent - params.points_before : -recent]
-    keys = {key for one in covered for key in one if key <= limit}
-    enough = [key for key in keys if all(sum(key in one for one in s) >= params.covering_share * len(s) for s in sides)]
-    return max(enough, key=lambda key: (sum(key in one for one in covered[-newest:]), key), default=0)
+    keys = {key for of_interval in covered for key in of_interval if key <= limit}
+    enough = [key for key in keys if all(sum(key in of for of in s) >= params.covering_share * len(s) for s in sides)]
+    return max(enough, key=lambda key: (sum(key in of for of in covered[-newest:]), key), default=0)
 
 
 def trend_up_to(record: TrendRecord, mileage_km: float, shared_std: float, parameters: TrendParameters) -> TrendRecord:

@@ -26,7 +26,6 @@ from estimation.values.arrays import FloatArray
 from estimation.values.mixture import NormalMixture
 from estimation.values.units import STD_PER_MAD
 
-POINTS_FOR_OUTLIERS = CURVES.points_for_outliers
 BEND_NODES = np.array(CURVES.bend_nodes)
 BEND_PRIOR = np.array(CURVES.bend_prior)
 
@@ -184,7 +183,7 @@ def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
 
 
 def _shares(residual: FloatArray, variance: FloatArray) -> FloatArray:
-    if len(residual) < POINTS_FOR_OUTLIERS:
+    if len(residual) < CURVES.points_for_outliers:
         return np.ones(len(residual))
     square = residual**2 / variance
     odds = (

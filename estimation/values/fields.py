@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
-from estimation.values.units import IN_MM
+from estimation.values.units import IN_MM, KM_H_IN_M_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +81,6 @@ class FileForm(Enum):
 M, S = FileUnit("_m"), FileUnit("_s")
 MM, KM = FileUnit("_mm", 1e-3), FileUnit("_km", 1e3)
 US, MS, MINUTES = FileUnit("_us", 1e-6), FileUnit("_ms", 1e-3), FileUnit("_minutes", 60.0)
-M_S, KM_H, M_S2 = FileUnit("_m_s"), FileUnit("_km_h", 1.0 / 3.6), FileUnit("_m_s2")
+M_S, KM_H, M_S2 = FileUnit("_m_s"), FileUnit("_km_h", 1.0 / KM_H_IN_M_S), FileUnit("_m_s2")
 PERCENT = FileUnit("_percent", divisor=100.0)
 DEG = FileUnit("_deg")

@@ -19,6 +19,7 @@ class MemoryLimits:
     extrapolations: int = 20_000  # of intervals, which do not change
     trends: int = 10_000  # of earlier intervals, which do not change: a fit costs some 10 ms
     covariance_rows: int = 5_000
+    segment_lengths: int = 8  # of segments, whose functions are kept: most windows are whole
     spline_points: int = 512  # of an alignment, in a piece
 
 

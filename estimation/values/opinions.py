@@ -7,24 +7,18 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Annotated, Final
 
-import numpy as np
-
-from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.fields import Served
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import History, ResultKind, SubjectKind
+from estimation.values.sums import INVERSE, SUMS
 from estimation.values.units import IN_MM
 from estimation.values.windows import OfWindow
 
 CREEP: Final = "creep"
 """The stage of creep forces, and the facet that a section and a vehicle with new ones have raised."""
 FRICTION: Final = "friction"
-CELL_LENGTH = 50.0  # m, of the places whose friction is separated
-FRICTIONS = (4.0, 1.5, 0.8, 0.6, 0.45, 0.35, 0.28, 0.22, 0.18, 0.15, 0.125, 0.1, 0.08, 0.065, 0.05, 0.035)
-"""Coefficients of friction at which sums are kept; between them the sums are interpolated over the inverse."""
-
-INVERSE = frozen_array(1.0 / np.array(FRICTIONS), (len(FRICTIONS),), name="INVERSE")  # (k,) 1/mu, increasing
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +29,7 @@ class FrictionSums(FrozenArrays):
     R that its creep moment makes, x the displacement, g_k = q (1/share - 1) what e would be at 1/``INVERSE``[k].
     """
 
-    cells: Annotated[IntArray, "c"]  # place: distance along the section over ``CELL_LENGTH``, rounded down
+    cells: Annotated[IntArray, "c"]  # place: distance along the section over ``SUMS.cell_length``, rounded down
     samples: Annotated[FloatArray, "c"]
     squares: Annotated[FloatArray, "c", 6]  # sums of e e, e q, q q, e x, q x and x x, m2
     saturated: Annotated[FloatArray, "c", 4, len(INVERSE)]  # sums of g_k e, g_k g_k, g_k q and g_k x, m2
@@ -89,12 +83,12 @@ class CellFriction:
     @property
     def from_m(self) -> Annotated[float, Served("Where it begins, along the section.")]:
         """Where the place begins along the section, m."""
-        return self.cell * CELL_LENGTH
+        return self.cell * SUMS.cell_length
 
     @property
     def to_m(self) -> Annotated[float, Served("Where it ends, along the section.")]:
         """Where it ends, m."""
-        return (self.cell + 1) * CELL_LENGTH
+        return (self.cell + 1) * SUMS.cell_length
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,9 +118,6 @@ class SectionAdhesion:
     ] = ()  # m, where friction is so surely low that no geometry has it
 
 
-SHARES = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.2, 1.5, 2.0)
-"""Particles: shares of the damping on file at which sums are kept; between them innovations are interpolated."""
-
 GEAR = tuple[str, int]  # a running gear: code of its vehicle, and its first axle, from 1
 
 
@@ -140,7 +131,7 @@ class DamperSums(FrozenArrays):
     by what is known in them.
     """
 
-    products: Annotated[FloatArray, len(SHARES) - 1, "m", "m"]
+    products: Annotated[FloatArray, len(SUMS.damping_shares) - 1, "m", "m"]
     samples: float  # independent ones
     curved: int  # p
 

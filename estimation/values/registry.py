@@ -11,13 +11,13 @@ from annotated_types import Interval
 
 from estimation.errors import ParameterError
 from estimation.values.fields import MM, FileDefault, FileForm, FileUnit, Key, Served
-from estimation.values.units import IN_MM
+from estimation.values.units import IN_MM, KM_H_IN_M_S
 
 MAX_AXLES = 8
 MOST_KM = 1e8
 FARTHEST_M = 1000.0  # of an axle from the reference point
 
-SPEED_IN_FILES = FileUnit("_km_h", divisor=3.6)
+SPEED_IN_FILES = FileUnit("_km_h", divisor=KM_H_IN_M_S)
 Code = Annotated[str, FileForm.CODE]
 Axle = Annotated[int, Interval(ge=1, le=MAX_AXLES)]
 Kilometres = Annotated[float, Interval(ge=0.0, le=MOST_KM)]

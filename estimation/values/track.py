@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Annotated
 
@@ -214,6 +214,10 @@ class Correction:
     def at(self, measured: FloatArray) -> FloatArray:
         """Return corrected positions, m."""
         return np.asarray(measured + self.offset + self.scale * (measured - self.middle))
+
+    def moved(self, offset: float, scale: float) -> Correction:
+        """Return the correction with more of both."""
+        return replace(self, offset=self.offset + offset, scale=self.scale + scale)
 
 
 @dataclass(frozen=True, slots=True)

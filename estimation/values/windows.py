@@ -16,6 +16,17 @@ from estimation.values.reasons import Reason
 
 
 @dataclass(frozen=True, slots=True)
+class SustainedParameters:
+    """From which share of a window's running time on it is one of hunting, or of a wheel with a flat."""
+
+    hunting_share: float = 0.5
+    blows_share: float = 0.5
+
+
+SUSTAINED = SustainedParameters()
+
+
+@dataclass(frozen=True, slots=True)
 class Hunting:
     """Sustained swaying of a wheelset at its own wavelength, over some running time."""
 
@@ -26,10 +37,9 @@ class Hunting:
     @property
     def sustained(self) -> bool:
         """Whether it lasts for most of the time."""
-        return self.share >= HUNTING_SHARE
+        return self.share >= SUSTAINED.hunting_share
 
 
-HUNTING_SHARE = 0.5  # of a window's running time that makes it a window of hunting
 NOT_HUNTING = Hunting(0.0, 0.0, 0.0)
 
 
@@ -45,10 +55,9 @@ class TurnBlows:
     @property
     def sustained(self) -> bool:
         """Whether they last for most of the time."""
-        return self.share >= BLOWS_SHARE
+        return self.share >= SUSTAINED.blows_share
 
 
-BLOWS_SHARE = 0.5  # of a window's running time that makes it a window of a wheel with a flat
 NO_BLOWS = TurnBlows(0.0, 0.0, 0.0, 0)
 
 

@@ -99,7 +99,7 @@ class PlanLine:
     not_checked: tuple[str, ...]
 
 
-TOLERANCE = 1e-9  # m
+TOLERANCE = 1e-9  # m, of the rounding of sums of radii: no allowance of a limit
 
 
 def turning_plan(

@@ -9,7 +9,7 @@ from itertools import groupby
 from sqlalchemy import Connection, and_, case, delete, exists, func, insert, or_, select, union_all, update
 
 from estimation.errors import DamagedError
-from estimation.values.windows import HUNTING_SHARE, DueStage, PassedOver, Window, WindowKey, WindowRecord
+from estimation.values.windows import SUSTAINED, DueStage, PassedOver, Window, WindowKey, WindowRecord
 from fleet_db.due import OF_SAMPLES, raise_sections, windows_changed, windows_left
 from fleet_db.records import ChunkState
 from fleet_db.rows import equal, insert_all_new, replace_all, same_window, table_of, value_of_row, window_key
@@ -113,7 +113,7 @@ class AssembledWindowStore:
     def _touch(self, keys: Sequence[WindowKey]) -> None:
         """Let jobs look again at the sections that windows are on as they are stored, and at who hunts in them."""
         same = window_key(WINDOWS).in_(keys)
-        hunts = WINDOWS.c.hunting_share >= HUNTING_SHARE
+        hunts = WINDOWS.c.hunting_share >= SUSTAINED.hunting_share
         stored = select(WINDOWS.c.wheelset, WINDOWS.c.track_section, case((hunts, WINDOWS.c.vehicle)))
         for wheelset, section, hunting_in in self.connection.execute(stored.where(same).distinct()):
             self.subjects.places(section)

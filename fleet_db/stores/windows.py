@@ -27,7 +27,7 @@ from estimation.values.alerts import MileageNow
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import SIGNATURES
 from estimation.values.windows import (
-    HUNTING_SHARE,
+    SUSTAINED,
     DueStage,
     PassedOver,
     Window,
@@ -122,7 +122,7 @@ class WindowStore:
             "samples_purged_ns": None,
             "passed_over": None,
         }
-        hunts = max(window.quality.hunting.share, stored.hunting_share or 0.0) >= HUNTING_SHARE
+        hunts = max(window.quality.hunting.share, stored.hunting_share or 0.0) >= SUSTAINED.hunting_share
         self.subjects.windows(window.wheelset, window.vehicle if hunts else None)
         self.subjects.places(window.track_section)
         if stored.content_digest is None:
@@ -295,7 +295,9 @@ class WindowStore:
     def hunted(self, vehicle: str, from_ns: int) -> frozenset[int]:
         """Return the starts, from ``from_ns`` on, of windows in which a wheelset of a vehicle hunts."""
         statement = select(WINDOWS.c.start_ns).where(
-            WINDOWS.c.vehicle == vehicle, WINDOWS.c.start_ns >= from_ns, WINDOWS.c.hunting_share >= HUNTING_SHARE
+            WINDOWS.c.vehicle == vehicle,
+            WINDOWS.c.start_ns >= from_ns,
+            WINDOWS.c.hunting_share >= SUSTAINED.hunting_share,
         )
         return frozenset(self.connection.scalars(statement))
 

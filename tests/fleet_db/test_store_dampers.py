@@ -11,10 +11,11 @@ from same_values import same_values
 
 from estimation.errors import StorageError
 from estimation.jobs.stage import made_from
-from estimation.values.opinions import GEAR_DAMPERS, SHARES, DamperSums, GearDamper, WindowDamper, part_of_gear
+from estimation.values.opinions import GEAR_DAMPERS, DamperSums, GearDamper, WindowDamper, part_of_gear
 from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import Result
+from estimation.values.sums import SHARES
 from fleet_db.packed_values import pack_value, unpack_window_damper
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 

@@ -91,8 +91,11 @@ class ConicityLimitRule(IntervalsRule):
         """Return the finding on the limit, by the conicity at 3 mm, or at the amplitude reached where that is less."""
         # at 3 mm it is that of the fitted trend, or of the current geometry where no trend is comparable with the limit
         believed = self.believed(facts)
-        if believed is None or facts.geometry is None:
-            return None
+        return None if believed is None else self.decided(facts, believed)
+
+    def decided(self, facts: WheelsetFacts, believed: Believed) -> Finding:
+        """Return the finding on the limit by what is believed of the current geometry."""
+        assert facts.geometry is not None  # without one nothing is believed
         return conicity_limit_finding(
             self,
             facts.wheelset.serial,
@@ -209,24 +212,16 @@ class MeasureRule(IntervalsRule):
         believed = rule.believed(facts) if isinstance(rule, ConicityLimitRule) else None
         if not isinstance(rule, ConicityLimitRule) or facts.geometry is None or believed is None:
             return None
-        decided = conicity_limit_finding(
-            rule,
-            facts.wheelset.serial,
-            believed,
-            facts.geometry.geometry.windows,
-            facts.geometry.to_ns,
-            not_assessable_reason=facts.not_assessable_reason,
-        )
         at_km = facts.profiles_measured_km
         measured = at_km is not None and facts.geometry.mileage_km - at_km <= self.measured_within_km
-        return measure_finding(self, believed, decided, measured=measured)
+        return measure_finding(self, believed, rule.decided(facts, believed), measured=measured)
 
 
 def measure_finding(rule: MeasureRule, believed: Believed, decided: Finding, *, measured: bool) -> Finding:
     """Return whether the profiles are to be measured."""
     state, limit, now = believed.state, believed.limit, believed.now
     at_limit, at_reached = state.at_limit(limit), state.at_reached(limit)
-    over = max((one.probability for one in (at_limit, at_reached) if one is not None), default=None)
+    over = max((against.probability for against in (at_limit, at_reached) if against is not None), default=None)
     needed = rule.extrapolated_probability if state.extrapolated else rule.raise_probability
     at_3_mm = 0.0 if at_limit is None else at_limit.probability
     reached = 0.0 if at_reached is None else at_reached.probability

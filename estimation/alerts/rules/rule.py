@@ -185,11 +185,11 @@ class Standing:
         return Standing() if run.clears(delays) else Standing(self.since_ns, run)
 
 
-def raised_at(found: Iterable[Finding], delays: AlertDelays) -> int | None:
+def raised_at(findings: Iterable[Finding], delays: AlertDelays) -> int | None:
     """Return when an alert was raised that stands after findings in order of vehicle time, ns UTC; else None."""
     standing = Standing()
-    for one in found:
-        standing = standing.after(one, delays)
+    for finding in findings:
+        standing = standing.after(finding, delays)
     return standing.since_ns
 
 
@@ -198,9 +198,9 @@ def latest_run(newest_first: Iterable[Finding], delays: AlertDelays) -> bool:
     # That is where an alert ends that is raised by breaches on end, for its on-delay, and cleared by findings beyond
     # the clear limit, for its off-delay. Going back from the newest, most wheelsets are decided by two.
     raising = clearing = NO_RUN
-    for found in newest_first:
-        raising = raising.and_one(found) if found.breached else NO_RUN
-        clearing = clearing.and_one(found) if found.cleared else NO_RUN
+    for finding in newest_first:
+        raising = raising.and_one(finding) if finding.breached else NO_RUN
+        clearing = clearing.and_one(finding) if finding.cleared else NO_RUN
         if raising.raises(delays):
             return True
         if clearing.clears(delays):
@@ -212,9 +212,9 @@ def began(newest_first: Iterable[Finding], delays: AlertDelays) -> int | None:
     """Return when an alert that stands was raised, ns UTC, looking back from the newest to the last run that clears."""
     read: list[Finding] = []
     clearing = NO_RUN
-    for found in newest_first:
-        read.append(found)
-        clearing = clearing.and_one(found) if found.cleared else NO_RUN
+    for finding in newest_first:
+        read.append(finding)
+        clearing = clearing.and_one(finding) if finding.cleared else NO_RUN
         if clearing.clears(delays):
             break
     return raised_at(reversed(read), delays)
@@ -227,10 +227,10 @@ def reach_km(delays: AlertDelays) -> float:
 
 def within_reach(mileages_km: Sequence[float | None], count: int, reach: float) -> int:
     """Return how many of the newest data count: at least ``count``, and those of the last kilometres."""
-    known = [at for at in mileages_km if at is not None]
-    if reach <= 0.0 or not known:
+    believed = [at for at in mileages_km if at is not None]
+    if reach <= 0.0 or not believed:
         return min(count, len(mileages_km))
-    first = next(i for i, at in enumerate(mileages_km) if at is not None and at >= known[-1] - reach)
+    first = next(i for i, at in enumerate(mileages_km) if at is not None and at >= believed[-1] - reach)
     return min(len(mileages_km), max(count, len(mileages_km) - first))
 
 
@@ -263,17 +263,17 @@ class WindowsRule(AlertRule):
         if facts.wheelset.mounting is None:
             return None
         from_ns, latest = self.counts_from_ns(facts), self.latest_windows
-        counting = (one for one in facts.windows if from_ns is None or one.start_ns >= from_ns)
+        counting = (window for window in facts.windows if from_ns is None or window.start_ns >= from_ns)
         ordered = sorted(counting, key=lambda window: window.start_ns)
         now = self.find_in(ordered[-latest:], facts)
         if not any(self.is_suspect(window, facts) for window in ordered):
             return replace(now, stands=False)
-        mileages = [None if one.implausible is not None else one.mileage_km for one in ordered]
+        mileages = [None if window.implausible is not None else window.mileage_km for window in ordered]
         first = len(ordered) - within_reach(mileages, FINDINGS.look_back_factor * latest, reach_km(self.delays))
 
         def after(end: int) -> Finding:
-            found = self.find_in(ordered[max(first, end - latest) : end], facts)
-            return replace(found, mileage_km=mileages[end - 1])
+            finding = self.find_in(ordered[max(first, end - latest) : end], facts)
+            return replace(finding, mileage_km=mileages[end - 1])
 
         since_ns = raised_at((after(end) for end in range(first + 1, len(ordered) + 1)), self.delays)
         return replace(now, stands=since_ns is not None, since_ns=since_ns)
@@ -362,12 +362,12 @@ class IntervalsRule(AlertRule):
     def _deciding(self, facts: WheelsetFacts, read: list[Finding]) -> Iterator[Finding]:
         """Yield the findings that decide, newest first, each at the mileage of its interval, and keep what was read."""
         intervals = counting(facts, self.delays)
-        for record, one in zip(reversed(intervals), _newest_first(facts, intervals), strict=True):
-            found = self.find_now(one)
-            if found is not None and found.breached is not None:
-                found = replace(found, mileage_km=record.mileage_km)
-                read.append(found)
-                yield found
+        for record, then in zip(reversed(intervals), _newest_first(facts, intervals), strict=True):
+            finding = self.find_now(then)
+            if finding is not None and finding.breached is not None:
+                finding = replace(finding, mileage_km=record.mileage_km)
+                read.append(finding)
+                yield finding
 
 
 def counting(facts: WheelsetFacts, delays: AlertDelays) -> Sequence[GeometryRecord]:

@@ -28,7 +28,7 @@ from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason
 from estimation.values.trend import SuspensionChange
 from estimation.values.units import NORMAL_95
-from estimation.values.windows import HUNTING_SHARE, WindowRecord
+from estimation.values.windows import SUSTAINED, WindowRecord
 
 Change = Annotated[float, Interval(ge=0.01, le=10.0)]
 DampingShare = Annotated[float, Interval(ge=0.05, le=1.5)]
@@ -228,7 +228,7 @@ class HuntingRule(WindowsRule):
     raise_windows: WindowCount = 3
     critical_windows: WindowCount = 10
     minimum_windows: WindowCount = 3  # behind "it does not hunt"
-    hunting_share: Share = HUNTING_SHARE  # of a window's running time that makes it a window of hunting
+    hunting_share: Share = SUSTAINED.hunting_share  # of a window's running time that makes it a window of hunting
 
     def find_in(self, windows: Sequence[WindowRecord], facts: WheelsetFacts) -> Finding:
         """Return the finding on hunting."""

@@ -84,16 +84,16 @@ class DataQualityRule(WindowsRule):
     def find_in(self, windows: Sequence[WindowRecord], facts: WheelsetFacts) -> Finding:
         """Return the finding on what is implausible."""
         reasons = Counter(window.implausible.code.value for window in windows if window.implausible is not None)
-        found = reasons.total()
-        unknown = None if found else too_few_windows(len(windows), self.minimum_windows)
+        implausible = reasons.total()
+        unknown = None if implausible else too_few_windows(len(windows), self.minimum_windows)
         of_place = set(reasons) == {ReasonCode.PLACE_IMPLAUSIBLE.value}
         return Finding(
             wheelset=facts.wheelset.serial,
             kind=self.kind,
-            breached=None if unknown else found >= self.raise_windows,
-            cleared=None if unknown else not found,
+            breached=None if unknown else implausible >= self.raise_windows,
+            cleared=None if unknown else not implausible,
             evidence=DataQualityEvidence(
-                implausible_windows=found, windows=len(windows), reasons=reasons, unknown=unknown
+                implausible_windows=implausible, windows=len(windows), reasons=reasons, unknown=unknown
             ).stored(),
             action="check_section_number" if of_place else "check_odometer",
             raise_limit=float(self.raise_windows),

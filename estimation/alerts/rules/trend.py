@@ -159,7 +159,7 @@ def explanations(step: TrendStep, around: StepSurroundings) -> tuple[StepExplana
     # raises it, and another wheelset may have any. Causes are weighed by the density of what was found under each, and
     # by how often each happens.
     size, std = step.size.value or 0.0, step.size.std or 1.0
-    found = {
+    predicted = {
         StepCause.TURNED: _turned(step, std, around),
         StepCause.EXCHANGED: (1.0 / (FINDINGS.usual_conicities[1] - FINDINGS.usual_conicities[0]), 0.0),
         StepCause.DAMAGED: (float(np.exp(-size / FINDINGS.damage_rise)) / FINDINGS.damage_rise, 0.0)
@@ -168,10 +168,11 @@ def explanations(step: TrendStep, around: StepSurroundings) -> tuple[StepExplana
         StepCause.SENSOR: _sensor(step, around.others),
         StepCause.TURNED_END_FOR_END: _normal(size, float(np.hypot(std, FINDINGS.own_std))),
     }
-    weight = {cause: USUAL[cause] * max(density, FINDINGS.least_likelihood) for cause, (density, _) in found.items()}
+    least = FINDINGS.least_likelihood
+    weight = {cause: USUAL[cause] * max(density, least) for cause, (density, _) in predicted.items()}
     total = sum(weight.values())
-    ordered = sorted(found, key=lambda cause: -weight[cause])
-    return tuple(StepExplanation(cause, weight[cause] / total, found[cause][1]) for cause in ordered)
+    ordered = sorted(predicted, key=lambda cause: -weight[cause])
+    return tuple(StepExplanation(cause, weight[cause] / total, predicted[cause][1]) for cause in ordered)
 
 
 def _turned(step: TrendStep, std: float, around: StepSurroundings) -> tuple[float, float]:
@@ -182,13 +183,13 @@ def _turned(step: TrendStep, std: float, around: StepSurroundings) -> tuple[floa
         return (
             (1.0 / max(step.level_before, FINDINGS.own_std), 0.0) if falls else (0.0, abs(step.size.value or 0.0) / std)
         )
-    nearest = min(around.designed, key=lambda at: abs(at - step.amplitude))
+    nearest = min(around.designed, key=lambda amplitude: abs(amplitude - step.amplitude))
     density, left = _normal(after - around.designed[nearest], float(np.hypot(std, FINDINGS.design_std)))
     apart = [
-        (one.value - around.designed[at]) / FINDINGS.design_std
-        for one in around.behind
-        for at in around.designed
-        if abs(at - one.amplitude) < FINDINGS.amplitude_tolerance
+        (conicity.value - around.designed[amplitude]) / FINDINGS.design_std
+        for conicity in around.behind
+        for amplitude in around.designed
+        if abs(amplitude - conicity.amplitude) < FINDINGS.amplitude_tolerance
     ]
     shape = float(np.sqrt(np.mean(np.square(apart)))) if apart else left
     worse = max(left, shape)
@@ -204,8 +205,8 @@ def _sensor(step: TrendStep, others: Sequence[TrendStep | None]) -> tuple[float,
     if not together:
         alone = FINDINGS.lone_sensor_share if others else 1.0
         return alone * density / after, 0.0
-    own = np.hypot(_log_std(step), FINDINGS.node_scale_std)
-    same = [abs(_log_scale(one) - scale) / float(np.hypot(_log_std(one), own)) for one in together]
+    own_std = np.hypot(_log_std(step), FINDINGS.node_scale_std)
+    same = [abs(_log_scale(other) - scale) / float(np.hypot(_log_std(other), own_std)) for other in together]
     left = float(np.sqrt(np.mean(np.square(same))))
     sharper = FINDINGS.sensor_scale_std / FINDINGS.node_scale_std  # one factor for all is a sharp prediction
     return sharper * len(together) / len(others) * density * float(np.exp(-0.5 * left**2)) / after, left

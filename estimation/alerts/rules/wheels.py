@@ -152,11 +152,11 @@ class WheelAsymmetryRule(AlertRule):
         counted = counting(facts, self.delays)
         for interval in counted:
             record = facts.geometry if interval is counted[-1] else interval
-            found = replace(self._of(facts, record, blamed), mileage_km=interval.mileage_km)
-            if found.breached is None:
+            finding = replace(self._of(facts, record, blamed), mileage_km=interval.mileage_km)
+            if finding.breached is None:
                 continue
-            standing = standing.after(found, self.delays)
-            blamed = [] if standing.since_ns is None else _names(found.evidence.get("raised_by"))
+            standing = standing.after(finding, self.delays)
+            blamed = [] if standing.since_ns is None else _names(finding.evidence.get("raised_by"))
         now = self._of(facts, facts.geometry, blamed, facts.not_assessable_reason)
         return replace(now, stands=standing.since_ns is not None, since_ns=standing.since_ns)
 
@@ -196,13 +196,13 @@ def _shape(geometry: WheelsetGeometry) -> Estimate:
     known = np.isfinite(geometry.rolling_radius_difference.value) & np.isfinite(geometry.rolling_radius_difference.std)
     if np.count_nonzero(known) < 2:  # noqa: PLR2004 - nothing to interpolate between
         return Estimate.unknown(Reason(ReasonCode.TOO_FEW_BINS, "no bins of the rolling radius difference"))
-    at, value, std = (
+    place, value, std = (
         x[known] for x in (centre, geometry.rolling_radius_difference.value, geometry.rolling_radius_difference.std)
     )
-    reach = min(at[-1], -at[0])
+    reach = min(place[-1], -place[0])
     distance = centre[(centre > 0.0) & (centre <= reach)]
-    even = 0.5 * (np.interp(distance, at, value) + np.interp(-distance, at, value))
-    even_std = 0.5 * np.hypot(np.interp(distance, at, std), np.interp(-distance, at, std))
+    even = 0.5 * (np.interp(distance, place, value) + np.interp(-distance, place, value))
+    even_std = 0.5 * np.hypot(np.interp(distance, place, std), np.interp(-distance, place, std))
     inner = _mean(even, even_std, distance <= FINDINGS.inner_amplitude)
     outer = _mean(even, even_std, (distance >= FINDINGS.outer_range[0]) & (distance <= FINDINGS.outer_range[1]))
     if inner is None or outer is None:
@@ -269,10 +269,10 @@ def wheel_asymmetry_finding(
 
 
 def _cleared(over_clear: Mapping[Indicator, float | None], blamed: Sequence[str], wanted: float) -> bool | None:
-    known = {name: p for name, p in over_clear.items() if p is not None}
-    if not known or any(name not in known for name in blamed):
+    probabilities = {name: p for name, p in over_clear.items() if p is not None}
+    if not probabilities or any(name not in probabilities for name in blamed):
         return None
-    return all(1.0 - p >= wanted for p in known.values())
+    return all(1.0 - p >= wanted for p in probabilities.values())
 
 
 def _beyond(value: Estimate, limit_mm: float) -> float | None:
@@ -280,5 +280,5 @@ def _beyond(value: Estimate, limit_mm: float) -> float | None:
         return None
     if value.std <= 0.0:
         return float(abs(value.value) * 1e3 > limit_mm)
-    at, spread = value.value * 1e3, value.std * 1e3
-    return float(ndtr((at - limit_mm) / spread) + ndtr((-at - limit_mm) / spread))
+    size, spread = value.value * 1e3, value.std * 1e3
+    return float(ndtr((size - limit_mm) / spread) + ndtr((-size - limit_mm) / spread))

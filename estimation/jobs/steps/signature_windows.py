@@ -15,6 +15,7 @@ from estimation.jobs.steps.assumptions import Assumed, ClassLookup
 from estimation.jobs.steps.load_window import WindowLoader
 from estimation.jobs.work import fails_alone
 from estimation.motion.integration import WindowParameters
+from estimation.signatures.parameters import SIGNATURE
 from estimation.signatures.window_signatures import SignatureParameters, window_signatures
 from estimation.storage import UnitOfWork
 from estimation.values.reasons import Reason, ReasonCode
@@ -74,6 +75,7 @@ class _Expected:
 
     def _digest(self, assumed: Assumed) -> str:
         chosen = {name: value for name, value in asdict(self.parameters).items() if name in OF_SIGNATURES}
+        chosen["least_step"] = SIGNATURE.least_step
         text = repr((VERSION, assumed.digest, sorted(chosen.items()), sorted(self.layouts.items(), key=str)))
         return hashlib.sha256(text.encode()).hexdigest()
 

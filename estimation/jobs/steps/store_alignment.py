@@ -12,7 +12,7 @@ from estimation.jobs.steps.epoch_inputs import Due, given
 from estimation.jobs.steps.epoch_passes import Solved, place_windows
 from estimation.jobs.steps.load_window import assemble_if_lost
 from estimation.storage import UnitOfWork
-from estimation.track.panel.instrumental_slope import PRIOR_STD
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Journey
 from estimation.track.settings import AlignmentSettings, changed_vehicles, requires_reestimation
 from estimation.track.update import AlignmentUpdate
@@ -98,9 +98,10 @@ def _store_suspensions(unit: UnitOfWork, epoch: TrackEpoch, computed: Computed, 
     iterated = update.estimate.iterated
     if iterated is None or not update.estimate.report.converged or update.outcome.windows_wait:
         return
+    most_std = JOBS.learnt_std_share * TRACK.ratio_prior_std
     for code, ratio in sorted(iterated.ratios.items()):
         windows = [record for record in records if record.vehicle == code]
-        if not windows or code not in computed.classes or not 0.0 < ratio.std <= JOBS.learnt_std_share * PRIOR_STD:
+        if not windows or code not in computed.classes or not 0.0 < ratio.std <= most_std:
             continue
         vehicle = computed.classes[code].vehicle_class.parameters
         finding = SuspensionFinding(

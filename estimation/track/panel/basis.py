@@ -345,11 +345,7 @@ def update(state: PanelState, passes: Sequence[GriddedPass]) -> PanelState:
 
 
 def _extended(sums: npt.NDArray[Precision], axis: int, new: int) -> npt.NDArray[Precision]:
-    shape = list(sums.shape)
-    shape[axis] += new
-    found = np.zeros(shape, dtype=sums.dtype)
-    found[(slice(None),) * axis + (slice(0, sums.shape[axis]),)] = sums
-    return found
+    return np.pad(sums, [(0, new if number == axis else 0) for number in range(sums.ndim)])
 
 
 def _add(sums: PanelState, w: int, rows: PassRows, weight: float) -> None:

@@ -39,17 +39,17 @@ class SlopeCorrection:
 
 def slope_correction(state: PanelState, solution: PanelSolution) -> SlopeCorrection:
     """Return by how much the curves of a panel are too flat."""
-    known = state.passes > 0.0
-    passes, y = state.passes[known], state.displacement[known]
+    passed = state.passes > 0.0
+    passes, y = state.passes[passed], state.displacement[passed]
     curves = solution.curves[0]
-    fitted = curves_of_sum(state, curves)[known]
+    fitted = curves_of_sum(state, curves)[passed]
     gram = np.einsum("wj,gwjk,wk->", curves, state.gram, curves)
-    own = float(gram - (fitted**2 / passes).sum())
+    of_curves = float(gram - (fitted**2 / passes).sum())
     along = float(np.einsum("wk,gwk->", curves, state.cross) - (fitted * y / passes).sum())
     whole = float(state.square.sum() - (y**2 / passes).sum())
-    if not (own > 0.0 and whole > 0.0 and along > 0.0):
+    if not (of_curves > 0.0 and whole > 0.0 and along > 0.0):
         return SlopeCorrection(1.0, float("inf"), 0.0)
-    explained = min(along**2 / (own * whole), 1.0)
+    explained = min(along**2 / (of_curves * whole), 1.0)
     excess = 1.0 / explained - 1.0
     return SlopeCorrection(1.0 + TRACK.flattening_share * excess, TRACK.flattening_std * excess, explained)
 
@@ -70,15 +70,15 @@ def corrected(state: PanelState, solution: PanelSolution, factor: float) -> Pane
 def common_slope(solution: PanelSolution, other: PanelSolution) -> float:
     """Return the factor by which the curves of ``solution`` come nearest to those of another one, without a gauge."""
     count = len(solution.knots)
-    along, own = 0.0, 0.0
+    along, square = 0.0, 0.0
     for number, life in enumerate(solution.lives):
         curve = other.curve_of(life)
         if curve is None:
             continue
         weight, mine = solution.weight[number], solution.curves[0, number, :count]
         along += float((weight * mine) @ curve[:count])
-        own += float((weight * mine) @ mine)
-    return along / own if along > 0.0 else 1.0
+        square += float((weight * mine) @ mine)
+    return along / square if along > 0.0 else 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,50 +95,51 @@ def with_instrument(
     if not slope.explained > 0.0:
         return slope  # the curves explain nothing, and nothing is known of their slope
     sums = _sums(passes, solution, panel)
-    along, own, of_instrument, of_curves = sums.sum(axis=0)
+    whole = sums.sum(axis=0)
+    along, product, of_instrument, of_curves = whole
     if not along > panel.parameters.least_correlation * float(np.sqrt(of_instrument * of_curves)):
         return slope
-    left = sums.sum(axis=0) - sums
-    if not (left[:, 0] > 0.0).all():
+    without = whole - sums
+    if not (without[:, 0] > 0.0).all():
         return slope
-    factors = np.concatenate([[own / along], left[:, 1] / left[:, 0]])
+    factors = np.concatenate([[product / along], without[:, 1] / without[:, 0]])
     excess = 1.0 / slope.explained - 1.0
     std = float(np.hypot(jackknife_std(factors[:, None])[0], panel.parameters.systematic_share * excess))
     if not std < slope.std:
         return slope
-    known = np.array([std, slope.std]) ** -2
-    factor = float(known @ np.array([factors[0], slope.factor]) / known.sum())
-    return SlopeCorrection(factor, float(known.sum() ** -0.5), slope.explained)
+    precision = np.array([std, slope.std]) ** -2
+    factor = float(precision @ np.array([factors[0], slope.factor]) / precision.sum())
+    return SlopeCorrection(factor, float(precision.sum() ** -0.5), slope.explained)
 
 
 def _sums(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel) -> FloatArray:
     grid, groups = panel.grid, panel.parameters.groups
     filtered = [_filtered(item, panel) for item in passes if not item.empty]
     summed, passed = np.zeros((2, grid.points))
-    for one in filtered:
-        summed[one.source.used_points] += one.displacement[one.source.inside]
-        passed[one.source.used_points] += 1.0
+    for item in filtered:
+        summed[item.source.used_points] += item.displacement[item.source.inside]
+        passed[item.source.used_points] += 1.0
     mean, taps = summed / np.maximum(passed, 1.0), 2 * int(panel.parameters.slope_reach / grid.step) + 1
     # where enough have passed within the reach of the filter
-    known = np.convolve(passed >= panel.parameters.least_passes, np.ones(taps), "same") > taps - 0.5
-    predicted = _predictions(filtered, mean, known, panel)
+    enough = np.convolve(passed >= panel.parameters.least_passes, np.ones(taps), "same") > taps - 0.5
+    predicted = _predictions(filtered, mean, enough, panel)
     terms: list[tuple[IntArray, FloatArray, float]] = []
     total, count = np.zeros((3, grid.points)), np.zeros(grid.points)
-    for one in filtered:
-        curve = solution.curve_of(one.source.life)
+    for item in filtered:
+        source, curve = item.source, solution.curve_of(item.source.life)
         if curve is None:
             continue
-        used = one.source.inside & _at(known, one.source.points, panel)
-        values = _compared(one, curve, predicted[one.source.life], panel)[:, used]
-        at, weight = one.source.points[used], panel.weight_of(one.source.life)
-        total[:, at] += weight * values
-        count[at] += weight
-        terms.append((at, values, weight))
+        used = source.inside & _at(enough, source.points, panel)
+        values = _compared(item, curve, predicted[source.life], panel)[:, used]
+        points, weight = source.points[used], panel.weight_of(source.life)
+        total[:, points] += weight * values
+        count[points] += weight
+        terms.append((points, values, weight))
     total /= np.where(count > 0.0, count, 1.0)
     sums = np.zeros((groups, 4))
-    for at, values, weight in terms:
-        y, h, z = values - total[:, at]
-        np.add.at(sums, groups_of(at, panel), weight * np.stack([z * h, z * y, z * z, h * h], axis=1))
+    for points, values, weight in terms:
+        y, h, z = values - total[:, points]
+        np.add.at(sums, groups_of(points, panel), weight * np.stack([z * h, z * y, z * z, h * h], axis=1))
     return sums
 
 
@@ -149,18 +150,18 @@ def _filtered(item: GriddedPass, panel: Panel) -> _Filtered:
 
 
 def _predictions(
-    filtered: Sequence[_Filtered], mean: FloatArray, known: BoolArray, panel: Panel
+    filtered: Sequence[_Filtered], mean: FloatArray, enough: BoolArray, panel: Panel
 ) -> dict[ProfileLife, FloatArray]:
     """Return z (n,), m, of every wheelset: the mean displacement through the filter that fits its R best."""
     reach = int(panel.parameters.slope_reach / panel.grid.step)
     shifted = np.lib.stride_tricks.sliding_window_view(np.pad(mean, reach), 2 * reach + 1)
     normal: dict[ProfileLife, FloatArray] = {}
     right: dict[ProfileLife, FloatArray] = {}
-    for one in filtered:
-        used = one.source.inside & _at(known, one.source.points, panel)
-        X, life = shifted[one.source.points[used]], one.source.life
+    for item in filtered:
+        used = item.source.inside & _at(enough, item.source.points, panel)
+        X, life = shifted[item.source.points[used]], item.source.life
         normal[life] = normal.get(life, 0.0) + X.T @ X
-        right[life] = right.get(life, 0.0) + X.T @ one.difference[used]
+        right[life] = right.get(life, 0.0) + X.T @ item.difference[used]
     size = {life: panel.parameters.ridge * max(float(np.trace(N)) / len(N), 1e-30) for life, N in normal.items()}
     return {
         life: np.asarray(shifted @ np.linalg.solve(N + size[life] * np.eye(len(N)), right[life]))
@@ -168,23 +169,19 @@ def _predictions(
     }
 
 
-def _compared(one: _Filtered, curve: FloatArray, predicted: FloatArray, panel: Panel) -> FloatArray:
+def _compared(item: _Filtered, curve: FloatArray, predicted: FloatArray, panel: Panel) -> FloatArray:
     """Return y, h(R) and h(z) (3, m) of a pass, m, high-passed and without the stiffness term."""
-    item, p = one.source, panel.parameters
-    stiffness_term = curve[-1] * item.stiffness_term
-    z = np.clip(item.side * _at(predicted, item.points, panel), -p.reach, p.reach)
-    h = np.stack(
-        [stiffness_term, curve_displacement(item, curve, panel), np.interp(z, p.knots, curve[: p.basis_count])]
-    )
-    of_stiffness, of_difference, of_prediction = item.side * high_pass(h, panel.grid.kernel)
-    return np.stack([one.displacement - of_stiffness, of_difference - of_stiffness, of_prediction])
+    source, p = item.source, panel.parameters
+    stiffness_term = curve[-1] * source.stiffness_term
+    z = np.clip(source.side * _at(predicted, source.points, panel), -p.reach, p.reach)
+    of_z = np.interp(z, p.knots, curve[: p.basis_count])
+    h = np.stack([stiffness_term, curve_displacement(source, curve, panel), of_z])
+    of_stiffness, of_difference, of_prediction = source.side * high_pass(h, panel.grid.kernel)
+    return np.stack([item.displacement - of_stiffness, of_difference - of_stiffness, of_prediction])
 
 
 def _at(values: FloatArray | BoolArray, points: IntArray, panel: Panel) -> np.ndarray:
     return values[np.clip(points, 0, panel.grid.points - 1)]
-
-
-PRIOR_STD = TRACK.ratio_prior_std
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,12 +189,12 @@ class Ratio:
     """Of a vehicle: true yaw stiffness over creep coefficient, relative to the assumed one."""
 
     value: float = 1.0
-    std: float = PRIOR_STD
+    std: float = TRACK.ratio_prior_std
 
 
 def ratio_values(ratios: Mapping[str, Ratio]) -> dict[str, float]:
     """Return the value of each vehicle's ratio."""
-    return {vehicle: one.value for vehicle, one in ratios.items()}
+    return {vehicle: ratio.value for vehicle, ratio in ratios.items()}
 
 
 def refine_ratios(
@@ -230,7 +227,7 @@ def refine_ratios(
         numerators[vehicle] = numerators.get(vehicle, 0.0) + slopes[w] * solution.curves[:, w, -1]
         squares[vehicle] = squares.get(vehicle, 0.0) + slopes[w] ** 2
     result = {}
-    flattened = _stiffness_shares(passes)
+    flattened, prior = _stiffness_shares(passes), TRACK.ratio_prior_std**2
     excess = 1.0 / max(explained, panel.parameters.least_explained) - 1.0
     for vehicle, numerator in numerators.items():
         if not squares[vehicle] > 0.0:
@@ -241,7 +238,7 @@ def refine_ratios(
         if not np.isfinite(data_std):
             data_std = 0.0  # not computed in this round
         data_std = float(np.hypot(data_std, excess * flattened[vehicle]))
-        worth = PRIOR_STD**2 / (PRIOR_STD**2 + data_std**2)
+        worth = prior / (prior + data_std**2)
         value = 1.0 + worth * (before.value + panel.parameters.damping * float(steps[0]) - 1.0)
         result[vehicle] = Ratio(float(np.clip(value, 0.5, 1.5)), float(np.sqrt(worth) * data_std))
     return result
@@ -255,13 +252,12 @@ def with_ratio_std(
     explained: float = 1.0,
 ) -> dict[str, Ratio]:
     """Return the ratios with which ``passes`` were adjusted, each with its std from the groups of ``solution``."""
-    found = refine_ratios(ratios, passes, solution, panel, explained)
-    return {
-        vehicle: replace(
-            ratios.get(vehicle, Ratio()), std=float(np.hypot(one.std, panel.parameters.ratio_systematic_std))
-        )
-        for vehicle, one in found.items()
-    }
+    systematic, refined = (
+        panel.parameters.ratio_systematic_std,
+        refine_ratios(ratios, passes, solution, panel, explained),
+    )
+    stds = {vehicle: float(np.hypot(ratio.std, systematic)) for vehicle, ratio in refined.items()}
+    return {vehicle: replace(ratios.get(vehicle, Ratio()), std=std) for vehicle, std in stds.items()}
 
 
 def error_of_difference(ratios: Mapping[str, Ratio], passes: Sequence[GriddedPass]) -> float:
@@ -278,4 +274,4 @@ def _stiffness_shares(passes: Sequence[GriddedPass]) -> dict[str, float]:
         E, R = item.stiffness_term[item.inside], item.difference[item.inside]
         squares = np.array([E @ E, R @ R])
         sums[item.source.vehicle] = sums.get(item.source.vehicle, 0.0) + squares
-    return {vehicle: float(np.clip(own / max(whole, 1e-300), 0.0, 1.0)) for vehicle, (own, whole) in sums.items()}
+    return {vehicle: float(np.clip(part / max(whole, 1e-300), 0.0, 1.0)) for vehicle, (part, whole) in sums.items()}

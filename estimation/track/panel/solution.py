@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from estimation.filters import high_pass, local_cubic_kernel, valid_support
+from estimation.filters import between_known, high_pass, local_cubic_kernel, valid_support
 from estimation.track.gridded_pass import GriddedPass, SectionGrid
 from estimation.track.panel.basis import MeasuredCurve, Panel, PanelParameters, PanelState, groups_of
 from estimation.track.passes import ProfileLife
@@ -183,8 +183,8 @@ def _prior(scale: float, panel: Panel) -> FloatArray:
 
 
 def _measured(state: PanelState) -> dict[int, MeasuredCurve]:
-    known = state.panel.measured
-    return {number: known[life] for number, life in enumerate(state.lives) if life in known}
+    measured = state.panel.measured
+    return {number: measured[life] for number, life in enumerate(state.lives) if life in measured}
 
 
 def _prior_of_measured(
@@ -197,13 +197,13 @@ def _prior_of_measured(
     for number, curve in _measured(state).items():
         displacement, reached = curve.at(p.knots)
         samples = (parameters.pass_std / curve.std) ** 2 * parameters.correlated_samples
-        own = samples * parameters.independent_parts / p.basis_count
-        weight = reached * (own if fixed_weight is None else fixed_weight)
+        by_std = samples * parameters.independent_parts / p.basis_count
+        weight = reached * (by_std if fixed_weight is None else fixed_weight)
         if not weight.any():
             continue
         block = np.diag(weight) - np.outer(weight, weight) / weight.sum()  # less its mean: the filter takes constants
-        at = slice(number * c, number * c + p.basis_count)
-        matrix[at, at], right[at] = block, block @ displacement
+        of_curve = slice(number * c, number * c + p.basis_count)
+        matrix[of_curve, of_curve], right[of_curve] = block, block @ displacement
     return matrix, right
 
 
@@ -263,9 +263,9 @@ def _too_little(state: PanelState, parameters: PanelParameters) -> Reason | None
         return too_few_passes(least, int(state.passes.max(initial=0)))
     if len(state.lives) < parameters.least_wheelsets:
         return SINGLE_WHEELSET
-    found = between_pass_std_ratio(state)
-    if found < parameters.least_diversity:
-        text = f"the passes are too alike: diversity {found:.2f}, {parameters.least_diversity} is needed"
+    diversity = between_pass_std_ratio(state)
+    if diversity < parameters.least_diversity:
+        text = f"the passes are too alike: diversity {diversity:.2f}, {parameters.least_diversity} is needed"
         return Reason(ReasonCode.PASSES_ALIKE, text)
     return None
 
@@ -292,12 +292,12 @@ def prior_on_grid(evidence: TrackAlignment, grid: SectionGrid, cutoff_wavelength
     """Return the prior alignment on the panel's grid; one that has its cut-off already is not filtered again."""
     s = grid.s
     certain = np.isfinite(evidence.alignment) & np.isfinite(evidence.alignment_std)
-    inside = np.interp(s, evidence.s, certain.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
+    inside = between_known(s, evidence.s, certain)
     d = np.interp(s, evidence.s, np.where(certain, evidence.alignment, 0.0))
     std = np.interp(s, evidence.s, np.where(certain, evidence.alignment_std, 0.0))
     if evidence.cutoff_wavelength != cutoff_wavelength:
         weights = local_cubic_kernel(cutoff_wavelength, grid.step)
-        inside = valid_support(np.asarray(inside), weights)
+        inside = valid_support(inside, weights)
         d = high_pass(d, weights)
     passes = np.interp(s, evidence.s, evidence.passes.astype(np.float64))
     return PriorAlignment(

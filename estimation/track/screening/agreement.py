@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.compiled import compiled
-from estimation.filters import high_pass, local_cubic_kernel
+from estimation.filters import between_known, high_pass, local_cubic_kernel
 from estimation.track.passes import Pass, PositionParameters, gridded
 from estimation.values.arrays import FloatArray, runs
 from estimation.values.quantities import log10_chance
@@ -45,30 +45,30 @@ def cross_products(first: FloatArray, second: FloatArray, reach: int) -> FloatAr
     """Return the sums (2 reach + 1, p, q) of first (p, n) at i times second (q, n) at i + lag, from lag -reach on."""
     p, n = first.shape
     q = second.shape[0]
-    found = np.zeros((p, q, 2 * reach + 1))
+    products = np.zeros((p, q, 2 * reach + 1))
     for a in range(p):
         for b in range(q):
-            sums, other = found[a, b], second[b]
+            sums, other = products[a, b], second[b]
             for i in range(n):
                 value = first[a, i]
                 start = i - reach
                 for k in range(max(0, -start), min(2 * reach + 1, n - start)):
                     sums[k] += value * other[start + k]
-    return np.ascontiguousarray(found.transpose(2, 0, 1))
+    return np.ascontiguousarray(products.transpose(2, 0, 1))
 
 
 @compiled(nogil=True)
 def own_products(signals: FloatArray, reach: int) -> FloatArray:
     """Return the sums (m, reach + 1) of signals (m, n) at i times themselves at i + lag, for lags from 0 to reach."""
     m, n = signals.shape
-    found = np.zeros((m, reach + 1))
+    products = np.zeros((m, reach + 1))
     for a in range(m):
-        sums, own = found[a], signals[a]
+        sums, signal = products[a], signals[a]
         for i in range(n):
-            value = own[i]
+            value = signal[i]
             for k in range(min(reach + 1, n - i)):
-                sums[k] += value * own[i + k]
-    return found
+                sums[k] += value * signal[i + k]
+    return products
 
 
 SMALLEST = float(np.finfo(np.float64).tiny)  # in place of a power of zero
@@ -126,9 +126,8 @@ def alignment_segment(
     known = np.isfinite(track.alignment)
     if np.count_nonzero(known) < 2:  # noqa: PLR2004 - nothing to interpolate between
         return None
-    inside = np.interp(grid, track.s, known.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
-    found = runs(np.asarray(inside, dtype=np.bool_))
-    start, stop = found[np.argmax(found[:, 1] - found[:, 0])].tolist() if len(found) else (0, 0)
+    stretches = runs(between_known(np.asarray(grid, np.float64), track.s, known))
+    start, stop = stretches[np.argmax(stretches[:, 1] - stretches[:, 0])].tolist() if len(stretches) else (0, 0)
     d = np.interp(grid[start:stop], track.s[known], track.alignment[known])
     if track.band_limited:
         return FilteredPass(first + start, d[None, :], step) if len(d) else None
@@ -154,13 +153,13 @@ def agreement(
     if (stop - start) * step < least_length:
         return NOTHING
     X, Z = first.signals[:, start - first.first :], second.signals[:, start - second.first :]
-    found = []
+    agreements = []
     for part in _pieces(stop - start, step, parameters):
         x, z = (signals[:, part] - signals[:, part].mean(axis=1, keepdims=True) for signals in (X, Z))
         reach = min(int(largest_offset / step), x.shape[1] // 4)
-        found.append(_at_lag(x, z, int(np.argmax(_canonical(x, z, reach))) - reach, reach, step, parameters))
-    middle = found[len(found) // 2]
-    usual = sorted(found, key=lambda one: one.log10_chance)[len(found) // 2]
+        agreements.append(_at_lag(x, z, int(np.argmax(_canonical(x, z, reach))) - reach, reach, step, parameters))
+    middle = agreements[len(agreements) // 2]
+    usual = sorted(agreements, key=lambda piece: piece.log10_chance)[len(agreements) // 2]
     return replace(usual, shift=middle.shift) if middle.log10_chance <= usual.log10_chance else usual
 
 
@@ -216,8 +215,8 @@ def _independent(X: FloatArray, Z: FloatArray, step: float, parameters: Screenin
     n = X.shape[1]
     far = min(int(parameters.correlation_length / step), n - 1)
     products = own_products(np.concatenate([X, Z]), far)
-    own = [values / max(float(values[0]), SMALLEST) for values in products]
-    widths = [1.0 + 2.0 * float((a[1:] * b[1:]).sum()) for a in own[: len(X)] for b in own[len(X) :]]
+    memories = [values / max(float(values[0]), SMALLEST) for values in products]
+    widths = [1.0 + 2.0 * float((a[1:] * b[1:]).sum()) for a in memories[: len(X)] for b in memories[len(X) :]]
     width = max([*widths, 1.0])
     return n / width, width * step
 

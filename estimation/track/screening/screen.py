@@ -115,10 +115,10 @@ def compare_pairs(
     pairs = {(min(i, j), max(i, j)) for i in filtered for j in _peers(i, filtered, journey_of, p.peers, p)}
     comparisons = []
     for i, j in sorted(pairs):
-        found = agreement(filtered[i], filtered[j], p.positions.largest_offset, p.cutoff_wavelength, p)
-        if found.samples >= p.least_samples or found.log10_chance <= p.log10_chance:
-            reason = disagreement(found, 1.0, p, "other passes of the place")
-            comparisons.append(Comparison(i, j, found.shift, reason))
+        agreed = agreement(filtered[i], filtered[j], p.positions.largest_offset, p.cutoff_wavelength, p)
+        if agreed.samples >= p.least_samples or agreed.log10_chance <= p.log10_chance:
+            reason = disagreement(agreed, 1.0, p, "other passes of the place")
+            comparisons.append(Comparison(i, j, agreed.shift, reason))
     return comparisons
 
 
@@ -131,8 +131,8 @@ def _peers(
     Besides, a few that overlap less and continue along the section, so that comparisons do not end where windows do.
     """
     others = np.array(list(filtered), dtype=np.int64)
-    first = np.array([one.first for one in filtered.values()])
-    last = np.array([one.last for one in filtered.values()])
+    first = np.array([item.first for item in filtered.values()])
+    last = np.array([item.last for item in filtered.values()])
     shared = (np.minimum(last, filtered[i].last) - np.maximum(first, filtered[i].first)) // parameters.overlap_step
     order = np.lexsort(((others - i) % len(journey_of), -shared))
     chosen: dict[int, int] = {}  # by journey
@@ -158,20 +158,20 @@ def minority(
     for c in comparisons:
         for i in (c.first, c.second):
             members.setdefault(int(camp[i]), set()).add(int(journey_of[i]))
-    known = {int(camp[i]) for i in confirmed}
-    found: dict[int, Reason] = {}
+    confirmed_camps = {int(camp[i]) for i in confirmed}
+    refused: dict[int, Reason] = {}
     for c in comparisons:
         if c.reason is None or camp[c.first] == camp[c.second]:
             continue
         for i, j in ((c.first, c.second), (c.second, c.first)):
-            own, theirs = int(camp[i]), int(camp[j])
-            weaker = len(members[own]) <= len(members[theirs]) if own not in known else False
-            if (weaker or theirs in known) and i not in confirmed:
-                both = len(members[own] | members[theirs])
-                found[i] = replace(
-                    c.reason, text=f"{c.reason}; {len(members[own])} of {both} journeys of the place agree with it"
+            its_camp, other_camp = int(camp[i]), int(camp[j])
+            weaker = len(members[its_camp]) <= len(members[other_camp]) if its_camp not in confirmed_camps else False
+            if (weaker or other_camp in confirmed_camps) and i not in confirmed:
+                both = len(members[its_camp] | members[other_camp])
+                refused[i] = replace(
+                    c.reason, text=f"{c.reason}; {len(members[its_camp])} of {both} journeys of the place agree with it"
                 )
-    return found
+    return refused
 
 
 def _camps(comparisons: Sequence[Comparison], count: int) -> IntArray:

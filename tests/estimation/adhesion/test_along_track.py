@@ -10,7 +10,7 @@ import pytest
 from estimation.adhesion.creep_forces import FrictionParameters
 from estimation.adhesion.pass_sums import GRID, along_track
 from estimation.values.arrays import FloatArray
-from estimation.values.opinions import INVERSE
+from estimation.values.sums import INVERSE
 
 PLACE_STD = 0.45
 KNOWN = FrictionParameters(usual=3.3, usual_std=3.0, change_std=0.2, fresh=0.05)

@@ -11,9 +11,10 @@ from oracles.creep_excess import creep_excess
 
 from estimation.adhesion.creep_forces import FileErrors, FrictionParameters
 from estimation.adhesion.friction import certain_stretches, low_stretches, pooled_friction, section_adhesion
-from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, FrictionSums, WindowAdhesion
+from estimation.values.opinions import CellFriction, FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.sums import CELL_LENGTH, INVERSE
 
 KNOWN = FrictionParameters()
 NO_ERRORS = FileErrors(0.0, 0.0, 0.0, 0.0, 0.0)

@@ -10,9 +10,10 @@ from bogie_run import SOFT, windows
 from estimation.adhesion.friction import touched
 from estimation.motion.checks import away_from_low_adhesion, refused_for_low_adhesion
 from estimation.motion.parameters import MOTION
-from estimation.values.opinions import INVERSE, FrictionSums, WindowAdhesion
+from estimation.values.opinions import FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.sums import INVERSE
 from estimation.values.track import Correction
 from estimation.values.windows import Window
 

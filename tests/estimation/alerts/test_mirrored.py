@@ -11,7 +11,6 @@ from wheelset_life import geometry_of
 
 from estimation.alerts.identity import Mistake, Observation, Parts, identity_events, newest_mirrored, reversed_between
 from estimation.alerts.parameters import FINDINGS
-from estimation.trend.change_point import StepModel
 
 AT = np.arange(0.125, 3.5, 0.25)
 SHAPE = (AT / 3.0) ** 2 - np.mean((AT / 3.0) ** 2)
@@ -38,23 +37,23 @@ def parts(
 @pytest.mark.parametrize("size", [0.04, -0.15])
 def test_a_sign_that_changes_is_seen_below_the_published_std_and_only_from_three_curves(size: float) -> None:
     for seed in range(4):
-        found = newest_mirrored(parts(size, -size, seed=seed), StepModel())
+        found = newest_mirrored(parts(size, -size, seed=seed))
         assert found is not None
         assert (found.last, found.first) == (TURNED - 1, TURNED)
         assert found.left < 1.5
-        assert newest_mirrored(parts(size, -size, seed=seed, count=TURNED + 2), StepModel()) is None
+        assert newest_mirrored(parts(size, -size, seed=seed, count=TURNED + 2)) is None
 
 
 def test_wheels_that_hardly_differ_are_not_shown_and_no_other_change_is_taken_for_it() -> None:
     for seed in range(4):
         for size, after in ((0.0, 0.0), (0.01, -0.01), (0.1, 0.1)):
-            assert newest_mirrored(parts(size, after, seed=seed), StepModel()) is None
+            assert newest_mirrored(parts(size, after, seed=seed)) is None
 
 
 @pytest.mark.parametrize(("share", "shown"), [(0.9, True), (1.1, False)])
 def test_the_odd_part_stays_as_it_is(share: float, shown: bool) -> None:  # noqa: FBT001
     assert FINDINGS.mirrored_odd_share == 0.35
-    found = newest_mirrored(parts(0.1, -0.1, odd=share * FINDINGS.mirrored_odd_share * 0.2), StepModel())
+    found = newest_mirrored(parts(0.1, -0.1, odd=share * FINDINGS.mirrored_odd_share * 0.2))
     assert (found is not None) is shown
 
 
@@ -64,7 +63,7 @@ def test_the_size_stays_the_same_but_for_what_is_common(share: float, shown: boo
     common = 0.005 * np.abs(SHAPE).sum() / len(AT) * FINDINGS.common_stds
     step = 0.4
     unlike = share * (FINDINGS.size_tolerance * step + common)
-    found = newest_mirrored(parts(0.5 * (step + unlike), -0.5 * (step - unlike), common=0.0), StepModel())
+    found = newest_mirrored(parts(0.5 * (step + unlike), -0.5 * (step - unlike), common=0.0))
     assert (found is not None) is shown
 
 

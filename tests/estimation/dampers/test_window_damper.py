@@ -14,8 +14,8 @@ from estimation.dampers.damper import DamperParameters, looked_at, not_judged, p
 from estimation.dampers.damper_filters import add_products, damper_filters, gain_std, of_signals
 from estimation.dampers.parameters import DAMPING
 from estimation.motion.integration import SignalParameters
-from estimation.values.opinions import SHARES
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.sums import SHARES
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import SensorChannel, VehicleClass
 

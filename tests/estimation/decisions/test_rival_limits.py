@@ -21,7 +21,6 @@ from estimation.estimators.interface import (
     covered_range,
     curve_estimate,
 )
-from estimation.estimators.paper_algorithm import GROUPS as OF_CELLS
 from estimation.estimators.paper_algorithm import CellMeans, PaperAlgorithm, PaperState
 from estimation.estimators.parameters import RIVALS
 from estimation.estimators.series import KnownIrregularity, SeriesState
@@ -115,7 +114,11 @@ def test_the_paper_needs_five_bins_around_the_centre(bins: int, status: Status) 
     theta[part] = 1.0
     covariance[part] = np.eye(3)
     count[part] = 1000
-    cells = CellMeans(np.zeros((OF_CELLS, CELLS)), np.ones((OF_CELLS, CELLS)), state.cells.derivatives)
+    cells = CellMeans(
+        np.zeros((RIVALS.paper_algorithm_groups, CELLS)),
+        np.ones((RIVALS.paper_algorithm_groups, CELLS)),
+        state.cells.derivatives,
+    )
     found = estimator.result(replace(state, theta=theta, covariance=covariance, count=count, cells=cells))
     assert len(found.displacement) == (bins if status is Status.ESTIMATED else 0)
     assert found.reason is not None
@@ -151,7 +154,7 @@ def proportional(apart: float) -> SeriesState:
 
 @pytest.mark.parametrize(("apart", "code"), [(0.9e-9, ReasonCode.NOT_FINITE), (1.1e-9, None)])
 def test_proportional_unknowns_are_not_solved(apart: float, code: ReasonCode | None) -> None:
-    refusal = series._refusal(proportional(apart), groups=16)
+    refusal = series._refusal(proportional(apart))
     assert (None if refusal is None else refusal.code) is code
 
 

@@ -145,6 +145,14 @@ def test_other_settings_and_time_make_all_due(facts: Facts, clock: SetClock) -> 
     assert facts.computed == ["W1", "W2", "W3"]
 
 
+def test_other_numbers_are_computed_with_from_the_same_inputs(facts: Facts, clock: SetClock) -> None:
+    run(facts.stage(), context(facts, clock))
+    facts.computed.clear()
+    for _ in range(2):
+        run(replace(facts.stage(), numbers=(0.5,)), context(facts, clock))
+        assert facts.computed == ["W1", "W2", "W3"]
+
+
 @pytest.mark.parametrize("wrong", [RuntimeError("no"), math.nan, math.inf])
 def test_what_fails_keeps_its_result_and_harms_nobody(facts: Facts, clock: SetClock, wrong: float | Exception) -> None:
     run(facts.stage(), context(facts, clock))

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from smooth_wheelset import mems_windows, run
 
-from estimation.track.passes import MOST, following, joined
+from estimation.track.parameters import TRACK
+from estimation.track.passes import following, joined
 from estimation.values.windows import Window
 
 SECOND_NS = 10**9
@@ -52,7 +53,7 @@ def test_windows_of_another_wheelset_or_vehicle_meanwhile_break_nothing() -> Non
 
 def test_a_long_run_is_cut_so_that_a_late_window_changes_little() -> None:
     cut = mems_windows(run(120, seed=1, cone=0.10, speed=20.0), seed=3, length_s=10)
-    assert [len(group) for group in following(cut, keys(cut))] == [MOST] * 3
+    assert [len(group) for group in following(cut, keys(cut))] == [TRACK.most_pass_windows] * 3
 
 
 def test_joined_windows_are_the_window_that_one_recording_would_have_made() -> None:

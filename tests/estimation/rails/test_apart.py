@@ -217,7 +217,7 @@ def test_an_amplitude_that_is_not_reached_is_not_covered() -> None:
     assert found.part[0].value is not None
     assert found.part[1].reason is not None
     assert found.part[1].reason.code is ReasonCode.AMPLITUDE_NOT_COVERED
-    assert reported(found.part, AMPLITUDE, 3e-3) == (found.part[0], 2e-3)
+    assert reported(found.part, AMPLITUDE, RailsParameters()) == (found.part[0], 2e-3)
 
 
 def test_the_trend_of_a_section_needs_three_periods() -> None:

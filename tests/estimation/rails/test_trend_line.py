@@ -74,7 +74,7 @@ def test_a_line_is_doubted_beyond_99_percent() -> None:
         height = share * 0.01 * np.sqrt(6.6349 * 1.5)
         found = line(np.array([0.0, 1.0, 2.0]), height * kink, covariance)
         assert found.squares == pytest.approx((share**2) * 6.6349, rel=1e-3)
-        assert found.fits(1e9) is fits
+        assert found.fits(1e9, RailsParameters().doubted_share) is fits
 
 
 def test_the_error_of_a_trend_is_that_of_the_line_and_what_all_cells_share_in_proportion() -> None:

@@ -14,7 +14,8 @@ from window_passes import window_passes
 from estimation.track.gridded_pass import grid_pass, with_ratio
 from estimation.track.iteration import IterationParameters, IterationResult, iterate
 from estimation.track.panel.basis import Panel, PanelParameters
-from estimation.track.panel.instrumental_slope import PRIOR_STD, Ratio, with_ratio_std
+from estimation.track.panel.instrumental_slope import Ratio, with_ratio_std
+from estimation.track.parameters import TRACK
 from estimation.track.passes import Pass, PositionParameters, journeys
 from estimation.track.results import findings
 from estimation.vehicle.vehicle_class import VehicleParameters
@@ -83,9 +84,9 @@ def test_what_the_curves_leave_unexplained_widens_a_ratio_as_far_as_the_stiffnes
 def weighed(plain: float, more: float) -> float:
     """Return the std of a ratio with one more error of its step, from the std without it."""
     of_data = np.sqrt(plain**2 - PanelParameters().ratio_systematic_std ** 2)  # sqrt(w) e with w = p^2/(p^2 + e^2)
-    before = PRIOR_STD**2 * of_data**2 / (PRIOR_STD**2 - of_data**2)
+    before = TRACK.ratio_prior_std**2 * of_data**2 / (TRACK.ratio_prior_std**2 - of_data**2)
     square = before + more**2
-    worth = PRIOR_STD**2 / (PRIOR_STD**2 + square)
+    worth = TRACK.ratio_prior_std**2 / (TRACK.ratio_prior_std**2 + square)
     return float(np.hypot(np.sqrt(worth * square), PanelParameters().ratio_systematic_std))
 
 
