@@ -52,7 +52,7 @@ class Judged:
     vibration: float
     speed: float  # m/s, mean
     found: bool
-    side_right: bool | None  # None where no side is told
+    side_right: bool | None  # None where no side is shown
     clipped: float  # share of the samples
 
 
@@ -66,8 +66,8 @@ def judged_windows(seed: int) -> Iterator[Judged]:
     for axle, motion in _motions(scenario):
         vibration = float(rng.choice(VIBRATIONS))
         radius = scenario.vehicles[0].wheelsets[axle].nominal_radius
-        for what, size, felt, left in _cases(motion, radius, rng):
-            values = _measured(scenario, felt, vibration, rng)
+        for what, size, shaken, left in _cases(motion, radius, rng):
+            values = _measured(scenario, shaken, vibration, rng)
             blows = judged(values, motion.speed[:: scenario.sensors.stride], 1.0 / scenario.sensors.rate_hz)
             believed = blows.sustained and abs(blows.turn_m / (2.0 * np.pi * radius) - 1.0) <= NEAR
             side = None if not believed or blows.side == 0 else (blows.side > 0) == left

@@ -54,7 +54,7 @@ class ResultTable:
     def of(
         cls, columns: Columns, groups: Iterable[Sequence[Any]], right: Iterable[int] = (), title: str = ""
     ) -> ResultTable:
-        """Return a table whose cells are made by name from what belongs to each row."""
+        """Return a table whose cells are made column by column from what belongs to each row."""
         rows = [tuple(cell(*group) for cell in columns.values()) for group in groups]
         return cls(tuple(columns), rows, right, title)
 
@@ -120,7 +120,7 @@ def ended(parts: Iterable[Part], name: str, title: str, command: str | None) -> 
 
 
 Options = Mapping[str, tuple[Any, str] | tuple[Any, str, Sequence[str]]]
-"""Default, help and perhaps choices by name; a list takes several values."""
+"""Default, help and perhaps choices of each option; a list takes several values."""
 
 
 def _options(bench: str, about: str, known: Options, arguments: Sequence[str]) -> argparse.Namespace:
