@@ -117,7 +117,7 @@ class WindowDueStore:
         return {text_of_key(row.wheelset, row.start_ns): Due(row.version, registry=row.registry) for row in rows}
 
     def list_again(self, stage: str, keys: Sequence[WindowKey]) -> None:
-        """Let windows be due still that a stage is about to remove."""
+        """Let windows be due still whose entries a stage is about to remove."""
         _list_keys(self.connection, (stage,), keys)
 
     def note(self, inputs: StageInputs, marks: Mapping[str, Mark]) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+from estimation.accuracy.parameters import ACCURACY
 from estimation.alerts.identity import IDENTITY_EVENT
 from estimation.alerts.life_cycle import close, transition, without_stale_acknowledgement
 from estimation.alerts.parameters import FINDINGS
@@ -17,6 +18,7 @@ from estimation.alerts.rule_book import RuleBook, findings, in_flood, next_chang
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.jobs.compare_identities import IDENTITIES, JUMPS, SUSPENSIONS
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.parameters import JOBS
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import AnyStage, Counted, Outcome, Part, Stage
 from estimation.jobs.steps.wheelset_facts import facts_of
@@ -283,7 +285,7 @@ ALERTS = Stage(
     counted=Counted(
         looked="wheelsets", changed=CHANGED, same=AT_REST, more=tuple(kind.value for kind in AlertEventKind)
     ),
-    numbers=(FINDINGS, CURVES, SCALE, SUSTAINED),
+    numbers=(FINDINGS, CURVES, SCALE, SUSTAINED, ACCURACY, JOBS.design_amplitudes),
     store=partial(store, raises=_Raises()),
     here=True,  # where what is to be raised is brought together
 )

@@ -52,7 +52,8 @@ from estimation.values.sums import SUMS
 from estimation.values.windows import WindowKey, WindowMark, WindowState, key_of_text, text_of_key
 
 JOB_NAME = "refresh_adhesion"
-FRICTION_NUMBERS = (FORCES, SUMS)
+DAMPERS = DamperParameters()
+FRICTION_NUMBERS = (FORCES, SUMS, FrictionParameters())
 BESIDE = {"wheelsets", "looks", "results"}  # counts of stages that are no counts of the job
 
 
@@ -108,7 +109,7 @@ def load_dampers(unit: UnitOfWork, vehicles: Sequence[str], _: JobContext) -> Ma
         newest = tuple(unit.dampers.newest(vehicle, first_axle, JOBS.most_gear_windows))
         if newest:
             gears.setdefault(vehicle, []).append(newest)
-    return {vehicle: VehicleDampers(tuple(windows), DamperParameters()) for vehicle, windows in gears.items()}
+    return {vehicle: VehicleDampers(tuple(windows), DAMPERS) for vehicle, windows in gears.items()}
 
 
 def judge_dampers(inputs: VehicleDampers) -> Outcome[GearDamper]:
@@ -279,7 +280,7 @@ OF_VEHICLES = Stage(
     load=load_dampers,
     compute=judge_dampers,
     counted=Counted(looked="looks", changed="results"),
-    numbers=(DAMPING, SUMS),
+    numbers=(DAMPERS, DAMPING, SUMS),
     results=GEAR_DAMPERS,
     store=forget_windows,
 )

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.accuracy.fleet_accuracy import baseline_at
+from estimation.accuracy.parameters import ACCURACY
 from estimation.accuracy.wheel_contact import RailShare, WheelPair
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
@@ -348,6 +349,7 @@ OF_ALL = Stage(
     load=load_rails,
     compute=part_rails,
     counted=Counted(looked="looks", changed="sections", more=("known_refused",)),
+    numbers=(ACCURACY,),
     store=store_rails,
     together=True,
 )

@@ -28,6 +28,7 @@ from estimation.signatures.parameters import SIGNATURE
 from estimation.signatures.window_signatures import SignatureParameters
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
+from estimation.trend.parameters import CURVES
 from estimation.values.geometry import GEOMETRY
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
@@ -48,6 +49,7 @@ from estimation.values.signatures import (
 from estimation.values.windows import WindowKey, text_of_key
 
 BESIDE = {"wheelsets", "windows", "looks", "results"}  # counts of stages that are no counts of the job
+NUMBERS = (SIGNATURE, CURVES)  # that answers are made with
 NO_SIGNATURE = Reason(
     ReasonCode.NO_SIGNATURE, "there is no signature of the wheelset since it was last turned, on the track as it is now"
 )
@@ -89,8 +91,8 @@ def judge(library: Library) -> Outcome[SignatureFinding]:
             continue
         geometry = library.geometries[serial]
         shelf = library.shelf
-        text = repr((shelf.digest, sorted(shelf.left_out.items()), subject, geometry, library.parameters))
-        digest = _sha(text)
+        of_shelf = (shelf.digest, sorted(shelf.left_out.items()))
+        digest = _sha(repr((*of_shelf, subject, geometry, library.parameters, NUMBERS)))
         if library.answered.get(serial) == (digest, library.numerics):
             continue
         try:
@@ -275,7 +277,7 @@ OF_ALL = Stage(
     load=load_library,
     compute=judge,
     counted=Counted(looked="looks", changed="answered", more=("retired",)),
-    numbers=(SIGNATURE,),
+    numbers=NUMBERS,
     results=ANSWERS,
     store=store_answers,
     together=True,

@@ -159,7 +159,7 @@ class Stage(Generic[I, V]):
     # returns what of the settings it is made from; with others all subjects are due
     settings: Callable[[JobSettings], object]
     # reads the inputs of some subjects, few statements for all; a subject that is left out has nothing to compute from.
-    # The digest of its inputs (``made_from``) decides whether it is computed
+    # The digest of its inputs and ``numbers`` (``made_from``) decides whether it is computed
     load: Callable[[UnitOfWork, Sequence[str], JobContext], Mapping[str, I]]
     # gets the inputs and nothing else. A part that it does not return keeps its former result
     compute: Callable[[I], Outcome[V]]
@@ -192,7 +192,8 @@ class Stage(Generic[I, V]):
     def inputs(self, context: JobContext) -> StageInputs:
         """Return what the stage is made from, with these settings and this version of the numerics."""
         settings = self.settings(context.settings)
-        common = str(settings) if self.inline else made_from(self.facets, settings, self.numbers, context.code_version)
+        made = (self.facets, settings, self.numbers, context.code_version)
+        common = str(settings) if self.inline else made_from(*made)
         return StageInputs(self.name, self.kind, self.facets, common, self.together, self.inline)
 
 

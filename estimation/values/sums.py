@@ -11,7 +11,10 @@ from estimation.values.arrays import frozen_array
 
 @dataclass(frozen=True, slots=True)
 class SumsParameters:
-    """Places, coefficients of friction and shares of damping of the sums."""
+    """Places, coefficients of friction and shares of damping of the sums.
+
+    Sums that are stored keep theirs: with others, the windows have to be looked at again.
+    """
 
     cell_length: float = 50.0  # m, of the places whose friction is separated
     # coefficients of friction at which sums are kept; between them the sums are interpolated over the inverse

@@ -177,6 +177,7 @@ ASSUMED = Stage(
     load=load_assumptions,
     compute=lambda _: Outcome(),  # what follows is that windows are due
     counted=Counted(looked="wheelsets", changed="results"),
+    numbers=(SIGNATURE,),
     store=list_other,
     at_once=200,
 )

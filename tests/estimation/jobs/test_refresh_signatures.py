@@ -18,10 +18,11 @@ from api.settings import Settings
 from estimation.errors import DamagedError
 from estimation.jobs import refresh_signatures
 from estimation.jobs.job import JobContext
+from estimation.signatures.parameters import SIGNATURE
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Reprofiling
-from estimation.values.runs import Facet, SubjectKind
+from estimation.values.runs import EVERYTHING, Facet, SubjectKind
 from estimation.values.signatures import ANSWERS, SIGNATURES, Basis, Signature, SignatureFinding, WindowSignatures
 from estimation.values.trend import IdentityChange
 from fleet_db.migrate import upgrade
@@ -150,6 +151,17 @@ def test_a_wheelset_to_which_something_happened_is_looked_at_and_found_unchanged
     counts = refresh_signatures.run(context)
     assert counts["answered"] == 0
     assert counts["unchanged"] == 12
+
+
+def test_with_another_number_all_answers_are_made_again(ran: Ran, monkeypatch: pytest.MonkeyPatch) -> None:
+    storage, context, _, _ = ran
+    with storage.read() as unit:
+        library = refresh_signatures.load_library(unit, [EVERYTHING], context)[EVERYTHING]
+    assert refresh_signatures.judge(library).parts == []
+    monkeypatch.setattr(
+        refresh_signatures, "NUMBERS", (replace(SIGNATURE, conicity_step=2.0 * SIGNATURE.conicity_step),)
+    )
+    assert len(refresh_signatures.judge(library).parts) == 12
 
 
 def answer(storage: SqlStorage, serial: str) -> SignatureFinding:
