@@ -153,7 +153,8 @@ async def _listen(reader: asyncio.StreamReader, got: dict[bytes, int]) -> None:
 
 def _exactly_once(service: Service) -> BenchRow:
     """Let writers commit while pollers are killed, and compare what pollers got with what is in the feed."""
-    writing = [started_program(service.write(one, STEPS, 0.005), os.environ) for one in range(WRITERS)]
+    logs = [service.folder / f"writer-{number}.log" for number in range(WRITERS)]
+    writing = [started_program(service.write(number, STEPS, 0.005), os.environ, log) for number, log in enumerate(logs)]
     files = [service.folder / f"poller-{one}" for one in range(POLLERS)]
     polling = [started_program(service.poll(file), os.environ) for file in files]
     draw, kills = random.Random(12), 0  # noqa: S311 - which poller is killed when, the same in every run
@@ -166,7 +167,7 @@ def _exactly_once(service: Service) -> BenchRow:
             kills += 1
             polling[victim] = started_program(service.poll(files[victim]), os.environ)
         if any(one.returncode for one in writing):
-            raise RuntimeError("a writer has failed")
+            raise RuntimeError("a writer has failed: " + "\n".join(log.read_text() for log in logs))
         with service.storage.read() as unit:
             wanted = [event.note for event in unit.alerts.feed(0, 1_000_000)]
         until(lambda: all(wanted[-1] in _kept(file)[0] for file in files), PATIENCE_S)

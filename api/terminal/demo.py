@@ -35,10 +35,11 @@ from estimation.values.runs import JobOutcome, JobTrigger
 from estimation.values.units import DAY_NS, HOUR_NS
 from fleet_db.migrate import upgrade
 from fleet_db.records import Decision
+from fleet_db.storage import SqlStorage
 from ingest.catalogue import default_catalogue
 from ingest.input_file import InputFile
 from ingest.receiver import Receiver
-from ingest.registry_entry.contents import Entry
+from ingest.registry_entry.contents import Entry, RegistryContents
 from ingest.registry_entry.enter import enter
 from ingest.registry_file import read_registry
 from ingest.simulator.fleet import FleetReport, Recording
@@ -80,23 +81,21 @@ def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) ->
     with closing(open_store(settings)) as storage, shown as progress:
         contents = {fleet.report.registry: read_registry(fleet.report.registry) for fleet in fleets}
         for path, registry in contents.items():
-            with storage.write() as unit:  # visits to the lathe are known when they have happened
-                entry = Entry(Decision(recorded_ns=clock.now_ns()))
-                enter(replace(registry, reprofilings=()), unit, InputFile(path, {}), entry)
+            _enter(on_file(registry, clock.now), path, storage, clock)
         context = replace(job_context(settings, storage), clock=clock)
         length_s = settings.window_length_s
         receiver = Receiver(storage, raw_store(settings), default_catalogue(), clock, window_length_s=length_s)
         receiver.reassembler.work_off()  # the registry is new, and there is no recording yet
         campaigns = [(end, received) for fleet in fleets for end, received in _by_campaign(fleet)]
         task = progress.add_task("", total=len(campaigns), what="")
-        tally = _Tally()
+        tally, entered_ns = _Tally(), clock.now
         for end_ns, received in campaigns:
             clock.now = max(clock.now, end_ns)
-            for registry in contents.values():
-                with storage.write() as unit:
-                    for reprofiling in registry.reprofilings:
-                        if reprofiling.at_ns <= clock.now:
-                            unit.registry.add_reprofiling(reprofiling)
+            for path, registry in contents.items():
+                happened = on_file(registry, clock.now)
+                if _events(happened) > _events(on_file(registry, entered_ns)):
+                    _enter(happened, path, storage, clock)
+            entered_ns = clock.now
             progress.update(task, what="receiving")
             tally.receive(receiver, received)
             tally.run_jobs(scheduled_jobs(settings), context, lambda job: progress.update(task, what=job))
@@ -105,6 +104,25 @@ def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) ->
         tally.run_jobs(scheduled_jobs(settings), context, lambda job: progress.update(task, what=job))
         progress.update(task, what="done")
     return tally.table()
+
+
+def on_file(registry: RegistryContents, at_ns: int) -> RegistryContents:
+    """Return the registry without what has not happened yet: visits to the lathe, measurements, other sensors."""
+    return replace(
+        registry,
+        reprofilings=tuple(visit for visit in registry.reprofilings if visit.at_ns <= at_ns),
+        measured_profiles=tuple(measured for measured in registry.measured_profiles if measured.at_ns <= at_ns),
+        sensor_changes=tuple(change for change in registry.sensor_changes if change.at_ns <= at_ns),
+    )
+
+
+def _events(registry: RegistryContents) -> int:
+    return len(registry.reprofilings) + len(registry.measured_profiles) + len(registry.sensor_changes)
+
+
+def _enter(registry: RegistryContents, path: Path, storage: SqlStorage, clock: ReplayClock) -> None:
+    with storage.write() as unit:
+        enter(registry, unit, InputFile(path, {}), Entry(Decision(recorded_ns=clock.now_ns())))
 
 
 class _Tally:

@@ -61,5 +61,5 @@ def test_no_job_needs_more_statements_for_a_window_after_days_of_history(tmp_pat
     by_day = [stages.statements for stages in runs(tmp_path, 1, DAYS, MINUTES, surveyed=True, quiet_s=0.0)]
     for name in by_day[0]:
         of_job = [executed[name] for executed in by_day]
-        assert max(of_job) <= MOST_OF_JOB or name == INGEST, (name, of_job)
+        assert max(of_job) <= MOST_OF_JOB, (name, of_job)
         assert is_flat(of_job), (name, of_job)
