@@ -42,7 +42,7 @@ from ingest.receiver import Receiver
 from ingest.registry_entry.contents import Entry, RegistryContents
 from ingest.registry_entry.enter import enter
 from ingest.registry_file import read_registry
-from ingest.simulator.fleet import FleetReport, Recording
+from ingest.simulator.fleet import FleetReport, Recording, prepare
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import load_scenario
 
@@ -74,14 +74,11 @@ def ending_now(scenario: Scenario, now_ns: int) -> Scenario:
     return replace(scenario, sessions=replace(scenario.sessions, start_ns=scenario.sessions.start_ns + days * DAY_NS))
 
 
-def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) -> Table:
+def replay(settings: Settings, fleets: Sequence[Simulated], clock: ReplayClock, console: Console) -> Table:
     """Receive and estimate the whole history, campaigns of the first fleet first; return what was done, as a table."""
-    clock = ReplayClock(min(fleet.scenario.sessions.start_ns for fleet in fleets) - DAY_NS)
     shown = bar(console, "receiving and estimating, campaign by campaign", "{task.fields[what]}")
     with closing(open_store(settings)) as storage, shown as progress:
         contents = {fleet.report.registry: read_registry(fleet.report.registry) for fleet in fleets}
-        for path, registry in contents.items():
-            _enter(on_file(registry, clock.now), path, storage, clock)
         context = replace(job_context(settings, storage), clock=clock)
         length_s = settings.window_length_s
         receiver = Receiver(storage, raw_store(settings), default_catalogue(), clock, window_length_s=length_s)
@@ -250,27 +247,24 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
     began = time.monotonic()
     console = Console()
     plans = [ending_now(load_scenario(name), time.time_ns()) for name in (scenario, *BESIDE.get(scenario, ()))]
-    # emptied is the demo's own folder only, never one that it did not make
-    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise StorageError(f"{folder} is no folder of its own; choose another with --folder")
-    if folder.exists():
-        if not (folder / MARKER).is_file() and any(folder.iterdir()):
-            raise StorageError(f"{folder} holds files that are not the demo's; choose another with --folder")
-        shutil.rmtree(folder)
-    folder.mkdir(parents=True)
-    (folder / MARKER).touch()
+    _empty(folder)
     embedded = dict.fromkeys(("database_url", "database_host", "raw_store"))
     here = {"host": "127.0.0.1", "log_level": "warning", "docs": "open"}  # a browser sends no key to /docs
     settings = load_settings(data_dir=folder / "data").model_copy(update=embedded | here)
     settings = with_rules(settings, plans[0].name, folder)
     logs.configure(settings)
+    upgrade(settings.url)
+    clock = ReplayClock(min(plan.sessions.start_ns for plan in plans) - DAY_NS)
+    recordings = {plan.name: folder / "recordings" / plan.fleet_code for plan in plans}
+    with closing(open_store(settings)) as storage:  # a registry that is refused is so before minutes of simulation
+        for plan in plans:
+            path = prepare(plan, recordings[plan.name])
+            _enter(on_file(read_registry(path), clock.now), path, storage, clock)
     fleets = []
     for plan in plans:
         console.print(f"[bold]{plan.name}[/bold]: {plan.description}", highlight=False)
-        report = simulate_with_progress(plan, folder / "recordings" / plan.fleet_code, console)
-        fleets.append(Simulated(plan, report))
-    upgrade(settings.url)
-    console.print(replay(settings, fleets, console))
+        fleets.append(Simulated(plan, simulate_with_progress(plan, recordings[plan.name], console)))
+    console.print(replay(settings, fleets, clock, console))
     key = None  # access is open
     if settings.access == "keys":
         _, key = make_stored_key(settings, Wanted("demo", EVERYTHING, None, None))
@@ -293,6 +287,18 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
             stopping = threading.Event()
             stop_on_signals(stopping)
             stopping.wait()
+
+
+def _empty(folder: Path) -> None:
+    """Make the demo's folder, or empty it; never one that the demo did not make."""
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise StorageError(f"{folder} is no folder of its own; choose another with --folder")
+    if folder.exists():
+        if not (folder / MARKER).is_file() and any(folder.iterdir()):
+            raise StorageError(f"{folder} holds files that are not the demo's; choose another with --folder")
+        shutil.rmtree(folder)
+    folder.mkdir(parents=True)
+    (folder / MARKER).touch()
 
 
 def _print_findings(service: ServiceAddress, fleets: Sequence[Simulated], console: Console) -> list[bool]:

@@ -20,6 +20,7 @@ from tiny_fleet import DEAD, WORN
 from api.settings import Settings
 from api.terminal.demo import free_port, serving_api
 from estimation.values.geometry import COMBINATIONS
+from ingest.simulator.scenario_file import load_scenario
 
 TREADWATCH = Path(sys.executable).with_name("treadwatch")
 
@@ -119,6 +120,18 @@ def test_a_scenario_that_cannot_be_read_leaves_the_last_demo_alone(treadwatch: R
     assert done.returncode == 2
     assert done.stderr.startswith("treadwatch: wrong.toml")
     assert (own / "table.txt").read_text() == "seen"
+
+
+def test_a_vehicle_that_cannot_be_registered_is_refused_before_anything_is_simulated(
+    treadwatch: Run, scenario_file: Path, tmp_path: Path
+) -> None:
+    text = scenario_file.read_text(encoding="utf-8")
+    code = load_scenario(str(scenario_file)).vehicles[0].code
+    (tmp_path / "wrong.toml").write_text(text.replace(f'"{code}"', '"N__1"'), encoding="utf-8")
+    done = treadwatch("demo", "--once", "--scenario", "wrong.toml", "--folder", "own")
+    assert done.returncode == 2
+    assert "'N__1' has '__'" in done.stderr
+    assert not list((tmp_path / "own").rglob("*.blf"))
 
 
 def test_figures_need_a_folder(treadwatch: Run, tmp_path: Path) -> None:
