@@ -79,8 +79,8 @@ KEPT: dict[str, set[str] | None] = {
     },
     "windows": {
         *("wheelset", "measured_from", "measured_to", "vehicle", "axle", "track_section", "mileage_km", "state"),
-        *("quality", "coverage_1", "longest_gap_s", "gaps", "clipped_1", "invalid_1", "speed_min_m_s"),
-        *("speed_max_m_s", "position_quality_1", "sensor_fault"),
+        *("quality", "coverage_1", "longest_gap_s", "gaps", "clipped_1", "invalid_1", "speed_min_km_h"),
+        *("speed_max_km_h", "position_quality_1", "sensor_fault"),
     },
     "adhesion": None,
     "rails": None,

@@ -13,6 +13,7 @@ import numpy as np
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.fields import Served
 from estimation.values.reasons import Reason
+from estimation.values.units import KM_H_IN_M_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +72,8 @@ class WindowQuality:
     # with the clipping bit, or a raw value at its limit
     clipped: Annotated[float, Served("Share of samples at the end of a sensor's range.", "clipped_1", finite=False)]
     invalid: Annotated[float, Served("Share of samples that are marked invalid.", "invalid_1", finite=False)]
-    speed_min_m_s: Annotated[float, Served("Lowest speed.", finite=False)]
-    speed_max_m_s: Annotated[float, Served("Highest speed.", finite=False)]
+    speed_min_m_s: Annotated[float, Served("Lowest speed.", "speed_min_km_h", KM_H_IN_M_S, finite=False)]
+    speed_max_m_s: Annotated[float, Served("Highest speed.", "speed_max_km_h", KM_H_IN_M_S, finite=False)]
     position_quality: Annotated[
         float, Served("Share of the window whose position is known.", "position_quality_1", finite=False)
     ]

@@ -239,7 +239,9 @@ def test_windows_are_half_open_ranges_of_the_vehicles_clock(client: httpx.Client
     everything = get(client, "/v1/wheelsets/WS-000/windows")["items"]
     assert len(everything) == api_fleet.WINDOWS
     assert all(first["measured_to"] == second["measured_from"] for first, second in pairwise(everything))
-    assert everything[3]["quality"]["invalid_1"] == 0.02
+    quality = everything[3]["quality"]
+    assert quality["invalid_1"] == 0.02
+    assert (quality["speed_min_km_h"], quality["speed_max_km_h"]) == pytest.approx((61.2, 64.8))  # 17 and 18 m/s
     bounds = {"from": everything[3]["measured_from"], "to": everything[7]["measured_from"]}
     assert get(client, "/v1/wheelsets/WS-000/windows", **bounds)["items"] == everything[3:7]
     page = get(client, "/v1/wheelsets/WS-000/windows", **bounds, limit=3)

@@ -129,7 +129,7 @@ def test_frames_on_the_bus_become_geometry_over_rest(deployment: Deployment, tre
         windows = eventually("/v1/wheelsets/LIVE-1/windows", lambda body: len(body["items"]) >= 1)["items"]
         assert windows[0]["vehicle"] == "L-1"
         assert windows[0]["track_section"] == "LIVE-5"
-        assert 15.0 <= windows[0]["quality"]["speed_min_m_s"] <= windows[0]["quality"]["speed_max_m_s"] <= 25.0
+        assert 54.0 <= windows[0]["quality"]["speed_min_km_h"] <= windows[0]["quality"]["speed_max_km_h"] <= 90.0
         eventually(
             "/v1/wheelsets/LIVE-1/windows", lambda body: any(item["state"] == "estimated" for item in body["items"])
         )

@@ -68,7 +68,7 @@ const OF_KIND = {
     ...part(have(e.hunting_windows, e.windows), () => `hunting in ${e.hunting_windows} of the latest ${e.windows} windows`),
     ...part(have(e.frequency_hz), () => `${number(e.frequency_hz, 1)} Hz`),
     ...part(have(e.amplitude_mm), () => `up to ${number(e.amplitude_mm, 1)} mm`),
-    ...part(have(e.speed_max_m_s), () => `up to ${number(3.6 * e.speed_max_m_s)} km/h`),
+    ...part(have(e.speed_max_km_h), () => `up to ${number(e.speed_max_km_h)} km/h`),
   ],
   suspension_change: (e) => [
     ...part(estimated(e.change_1), () => `yaw stiffness has changed by ${number(100 * e.change_1.value)} % (95 %: ${e.change_1.interval_95.map((edge) => number(100 * edge)).join(" to ")} %)`),
@@ -100,7 +100,7 @@ const OF_KIND = {
   wheel_flat: (e) => [
     ...part(have(e.striking_windows, e.windows), () => `${have(e.wheel) ? `the ${e.wheel} wheel` : "a wheel"} strikes once a turn in ${e.striking_windows} of the latest ${e.windows} windows`),
     ...part(have(e.blow_m_s2), () => `blows of ${number(e.blow_m_s2)} m/s2`),
-    ...part(have(e.speed_max_m_s), () => `up to ${number(3.6 * e.speed_max_m_s)} km/h`),
+    ...part(have(e.speed_max_km_h), () => `up to ${number(e.speed_max_km_h)} km/h`),
   ],
   fleet_alert: (e) => [
     ...part(have(e.member_count), () => `stands for ${e.member_count} alerts, ${e.open_member_count} of them open`),

@@ -27,7 +27,7 @@ from estimation.values.opinions import GearDamper, SectionAdhesion
 from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason
 from estimation.values.trend import SuspensionChange
-from estimation.values.units import NORMAL_95
+from estimation.values.units import KM_H_IN_M_S, NORMAL_95
 from estimation.values.windows import SUSTAINED, WindowRecord
 
 Change = Annotated[float, Interval(ge=0.01, le=10.0)]
@@ -207,7 +207,7 @@ class HuntingEvidence(DecidingEvidence):
     frequency_hz: Annotated[float | None, Served("Median frequency.")] = None
     wavelength_m: Annotated[float | None, Served("Median wavelength.")] = None
     amplitude_mm: Annotated[float | None, Served("Largest lateral amplitude.")] = None
-    speed_max_m_s: Annotated[float | None, Served("Greatest speed of those windows.")] = None
+    speed_max_km_h: Annotated[float | None, Served("Greatest speed of those windows.")] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,7 +264,7 @@ def _hunting_evidence(hunting: Sequence[WindowRecord], windows: int, unknown: Re
         frequency_hz=number_evidence(frequency, 3),
         wavelength_m=number_evidence(float(np.median(lengths)), 2),
         amplitude_mm=number_evidence(max(1e3 * w.quality.hunting.amplitude for w in hunting), 2),
-        speed_max_m_s=number_evidence(max(w.quality.speed_max_m_s for w in hunting), 3),
+        speed_max_km_h=number_evidence(KM_H_IN_M_S * max(w.quality.speed_max_m_s for w in hunting), 3),
         unknown=unknown,
     )
 

@@ -34,6 +34,7 @@ from estimation.values.fields import JsonValue, Served
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import KM_H_IN_M_S
 from estimation.values.windows import WindowRecord
 
 Indicator = Literal["offset", "shape"]
@@ -48,7 +49,7 @@ class WheelFlatEvidence(DecidingEvidence):
     blow_m_s2: Annotated[float | None, Served("Median lateral acceleration; at least that where the sensor clips.")]
     wheel: Annotated[Literal["left", "right"] | None, Served("Of the wheelset itself; null where it is not known.")]
     turn_m: Annotated[float | None, Served("Distance between two blows.")]
-    speed_max_m_s: Annotated[float | None, Served("Greatest speed of those windows.")]
+    speed_max_km_h: Annotated[float | None, Served("Greatest speed of those windows.")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +75,14 @@ class WheelFlatRule(WindowShareRule):
             for name in ("size", "turn_m")
         )
         mounting = facts.wheelset.mounting
+        speeds = [KM_H_IN_M_S * window.quality.speed_max_m_s for window in striking]
         evidence = WheelFlatEvidence(
             striking_windows=len(striking),
             windows=len(windows),
             blow_m_s2=number_evidence(size, 2),
             wheel=None if mounting is None else _wheel(striking, mounted_reversed=mounting.reversed),
             turn_m=number_evidence(turn_m, 3),
-            speed_max_m_s=number_evidence(max((w.quality.speed_max_m_s for w in striking), default=None), 3),
+            speed_max_km_h=number_evidence(max(speeds, default=None), 3),
             unknown=too_few_windows(len(windows), self.minimum_windows),
         )
         severity = Severity.CRITICAL if size is not None and size >= self.critical_m_s2 else Severity.WARNING

@@ -63,7 +63,7 @@ def test_the_evidence_names_the_oscillation() -> None:
     assert found.evidence["hunting_windows"] == 4
     assert found.evidence["frequency_hz"] == 3.5
     assert found.evidence["wavelength_m"] == 5.0  # at 15 to 20 m/s
-    assert (found.evidence["amplitude_mm"], found.evidence["speed_max_m_s"]) == (6.0, 20.0)
+    assert (found.evidence["amplitude_mm"], found.evidence["speed_max_km_h"]) == (6.0, 72.0)
     assert of_windows(0, 3).evidence["frequency_hz"] is None
     assert windows_finding(RULE, []).measured_ns == 5
 

@@ -72,7 +72,7 @@ def test_the_evidence_names_size_wheel_and_turn() -> None:
         "blow_m_s2": 20.0,
         "wheel": "left",
         "turn_m": 2.83,
-        "speed_max_m_s": 20.0,
+        "speed_max_km_h": 72.0,
         "unknown_because": None,
         "unknown_because_code": None,
         "probability": pytest.approx(0.987, abs=1e-3),
