@@ -135,7 +135,7 @@ def _outliers(k: int, case: Case, rng: np.random.Generator) -> FloatArray:
 def _record(number: int, x: float, days: float, width: float, value: float, std: float) -> IntervalConicities:
     middle = BEGIN_NS + round(days * DAY_NS)
     half = round(0.25 * width * DAY_NS)
-    known = tuple(KnownConicity(a, float(value) * (0.8 + 0.2 * a / 0.003), float(std)) for a in AMPLITUDES)
+    known = tuple(KnownConicity(a, float(value) * (0.8 + 0.2 * a / 0.003), float(std), float(std)) for a in AMPLITUDES)
     return IntervalConicities(
         0, number, float(x), middle - half, middle + half, 5, f"{number:064x}", "bench", known, None
     )

@@ -23,8 +23,9 @@ from estimation.geometry.sharpening import (
 )
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.error_parts import ErrorSource, error_effects
 from estimation.values.geometry import Centre, CentreOrigin
-from estimation.values.quantities import Estimate, jackknife_std, with_interval
+from estimation.values.quantities import Estimate, jackknife_std, normal_equivalent, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 
 NO_AMPLITUDE = Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "no amplitude is covered")
@@ -66,6 +67,7 @@ class CurveReplicates:
     band_limited: bool
     held_shares: tuple[float, ...] = FREE  # for the std of the mean of R by unequal diameters
     contact_roll: ContactRoll | None = None  # in the displacement; None where that needs nothing more
+    sources: tuple[ErrorSource, ...] = ()  # (k,) of the sensitivities; where none are named, that of the scale
 
     def row(self, x: FloatArray, difference: FloatArray) -> _Row:
         """Return displacement and R (n,), m, as EN 15302 means them."""
@@ -83,6 +85,12 @@ class CurveEstimates:
     nonlinearity: Estimate
     zero_crossing: Estimate
     centre: Centre | None = None
+    # of the error of the conicity: (p,) sources, and (p, a) changes per std
+    parts: tuple[tuple[ErrorSource, ...], FloatArray] = ((), np.zeros((0, 0)))
+
+
+_OF_DISPLACEMENT = (ErrorSource.ALIGNMENT, ErrorSource.BLUR, ErrorSource.STRETCH, ErrorSource.JUMP_PLACE)
+_OF_OFFSETS = (ErrorSource.EVEN_PART, ErrorSource.DIAMETERS)
 
 
 def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> CurveEstimates:
@@ -104,7 +112,16 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
     if not curve.band_limited:
         crossing = estimate_of(np.array([zero_crossing(*row) for row in rows]), groups, curve.count, NO_ZERO)
     centre = None if at_reference.value is None else _centre(rows[0], curve, reported_amplitude, at_reference.value)
-    return CurveEstimates(amplitude, conicity, reported_amplitude, at_reference, nonlinearity, crossing, centre)
+    parts = _parts(curve, values, groups)
+    return CurveEstimates(amplitude, conicity, reported_amplitude, at_reference, nonlinearity, crossing, centre, parts)
+
+
+def _parts(curve: CurveReplicates, values: FloatArray, groups: int) -> tuple[tuple[ErrorSource, ...], FloatArray]:
+    """Return what the error of the conicity is made of, from its rows (1 + g + p, a)."""
+    sampling = normal_equivalent(jackknife_std(values[: groups + 1]), groups)
+    of_parameters = curve.sources or (ErrorSource.SCALE,) * curve.sensitivity.shape[1]
+    sources = (ErrorSource.SAMPLING, *of_parameters, *_OF_DISPLACEMENT, *_OF_OFFSETS)
+    return error_effects(sources, np.vstack([sampling, values[groups + 1 :] - values[0]]))
 
 
 def _centre(row: _Row, curve: CurveReplicates, amplitude: float, conicity: float) -> Centre:

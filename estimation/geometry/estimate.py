@@ -19,10 +19,16 @@ from estimation.geometry.uncertainty import DisplacementError, ParameterUncertai
 from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.error_parts import ErrorSource
 from estimation.values.geometry import BinStatus, BinTable, BinValues, Contradiction, WheelsetGeometry
 from estimation.values.quantities import jackknife_std, leave_one_out, normal_equivalent
 from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS, angle_difference_derivatives
 
+# in the order of YAW_TARGETS after z2; the last two have no uncertainty
+YAW_SOURCES = (
+    *(ErrorSource.CREEP, ErrorSource.STIFFNESS, ErrorSource.INERTIA, ErrorSource.CREEP, ErrorSource.FRICTION),
+    *(ErrorSource.SENSORS, ErrorSource.SENSORS),
+)
 NOISE, DISPLACEMENT_NOISE = YAW_TARGETS.index("noise"), YAW_TARGETS.index("displacement_noise")
 
 
@@ -82,6 +88,8 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
         status=curve.at_reference.status,
         reason=curve.at_reference.reason,
         centre=curve.centre,
+        error_sources=curve.parts[0],
+        error_effects=curve.parts[1],
     )
     for found in contradictions(table, bins, unc):
         geometry = geometry.against(found)
@@ -149,6 +157,7 @@ def _curve(
         band_limited=bins.band_limited,
         held_shares=unc.held_shares,
         contact_roll=unc.contact_roll,
+        sources=(*YAW_SOURCES, ErrorSource.SCALE, *[ErrorSource.SENSORS] * replicates.by_scales.shape[-1]),
     )
 
 

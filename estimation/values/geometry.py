@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, bin_centres, freeze
+from estimation.values.error_parts import ErrorSource, varying_std
 from estimation.values.fields import JsonValue, Served, in_mm
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason
@@ -197,6 +198,10 @@ class WheelsetGeometry(FrozenArrays):
     status: Status
     reason: Reason | None = None
     centre: Annotated[Centre | None, Served("The point the conicity is about; null without a conicity.")] = None
+    # what the error of the conicity at each amplitude is made of
+    error_sources: Annotated[tuple[ErrorSource, ...], "p"] = ()
+    # (p, n) change per std, signed; NaN where the conicity is not known
+    error_effects: Annotated[FloatArray, "p", None] = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def bin_centres(self) -> FloatArray:
@@ -298,6 +303,7 @@ class KnownConicity(NamedTuple):
     amplitude: float
     value: float
     std: float
+    noise: float  # std of what differs from interval to interval; the rest of ``std`` all of a wheelset have in common
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,11 +328,18 @@ def known_conicities(geometry: WheelsetGeometry) -> tuple[KnownConicity, ...]:
     if np.isfinite(geometry.reported_amplitude):
         pairs.append((geometry.reported_amplitude, geometry.equivalent_conicity))
     known = [
-        KnownConicity(amplitude, estimate.value, estimate.std)
+        KnownConicity(amplitude, estimate.value, estimate.std, _noise(geometry, amplitude, estimate.std))
         for amplitude, estimate in pairs
         if estimate.status is Status.ESTIMATED and estimate.value is not None and estimate.std is not None
     ]
     return tuple(sorted(known, key=lambda one: one.amplitude))
+
+
+def _noise(geometry: WheelsetGeometry, amplitude: float, std: float) -> float:
+    if not geometry.error_sources:
+        return std
+    place = int(np.argmin(np.abs(geometry.amplitude - amplitude)))
+    return min(varying_std(geometry.error_sources, geometry.error_effects[:, place]), std)
 
 
 def why_no_conicity(geometry: WheelsetGeometry) -> Reason | None:

@@ -31,7 +31,7 @@ def causes_of(given: TrendStep, around: StepSurroundings) -> dict[StepCause, Ste
 
 
 def behind(*conicities: float) -> tuple[KnownConicity, ...]:
-    return tuple(KnownConicity(at, value, 0.02) for at, value in zip(DESIGNED, conicities, strict=True))
+    return tuple(KnownConicity(at, value, 0.02, 0.02) for at, value in zip(DESIGNED, conicities, strict=True))
 
 
 def test_a_fall_to_the_design_curve_was_turned() -> None:

@@ -67,7 +67,7 @@ def test_intervals_cover_for_wheels_that_are_not_in_the_family(covered: int) -> 
         true = FAMILY.conicity[i]
         noise = STD * np.sqrt(0.5) * (rng.standard_normal() + rng.standard_normal(ALL))
         known = [
-            KnownConicity(float(a), float(g), STD)
+            KnownConicity(float(a), float(g), STD, STD)
             for a, g in zip(FAMILY.amplitude[:covered], (true + noise)[:covered], strict=True)
         ]
         found = extrapolated(known, others[PAIRS[FAMILY.pair[i]].wheel])
@@ -126,7 +126,7 @@ def test_a_member_that_rises_beyond_counts_for_more_up_to_a_bound() -> None:
     """Members alike up to 2 mm, of which half rise beyond, the others stay or fall: 2 against 1 or 0.3."""
     up, even, down = (np.full((100, ALL), 0.2) for _ in range(3))
     up[:, TO_2:], down[:, TO_2:] = 0.4, 0.1
-    known = [KnownConicity(float(a), 0.2, 0.001) for a in FAMILY.amplitude[:TO_2]]
+    known = [KnownConicity(float(a), 0.2, 0.001, 0.001) for a in FAMILY.amplitude[:TO_2]]
     for other, weight in ((even, 1.0), (down, 0.3)):
         family = WornFamily(FAMILY.amplitude, np.concatenate([up, other]), np.zeros(200, dtype=np.int64))
         found = extrapolated(known, family)

@@ -17,7 +17,7 @@ def interval(number: int, conicity: float, largest_mm: float) -> IntervalConicit
     rng = np.random.default_rng(number)
     amplitudes = np.arange(2.0, largest_mm + 0.1, 0.25)
     known = tuple(
-        KnownConicity(1e-3 * a, conicity - 0.04 * (a - 2.0) + 0.001 * float(rng.standard_normal()), 0.04)
+        KnownConicity(1e-3 * a, conicity - 0.04 * (a - 2.0) + 0.001 * float(rng.standard_normal()), 0.04, 0.001)
         for a in amplitudes
     )
     start = round(number * 80 * DAY_NS)
