@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,9 +18,9 @@ from estimation.geometry.sharpening import (
     jumps_displaced,
     moved_off,
     nodes_of,
+    rms_change,
     sharpen,
     standard_curve,
-    widest,
 )
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import BoolArray, FloatArray
@@ -27,6 +28,7 @@ from estimation.values.error_parts import ErrorSource, error_effects
 from estimation.values.geometry import Centre, CentreOrigin
 from estimation.values.quantities import Estimate, jackknife_std, normal_equivalent, with_interval
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.units import NORMAL_95
 
 NO_AMPLITUDE = Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "no amplitude is covered")
 NO_OFFSET = Reason(ReasonCode.OFFSET_NOT_OBSERVABLE, "band-limited signals carry no offset")
@@ -192,7 +194,8 @@ def _rows(
     conicity = np.stack([equivalent_conicity(*row, amplitude) for row in rows])
     unsharpened = (1 - curve.error.excess) * edges_and_centres(low, high)
     blurred = curve.row(unsharpened, replace(curve.error, std=sharp.left).rounded(unsharpened, nodes[0]))
-    displacement_changes = _systematic(curve.error, sharp, rows[0], blurred, amplitude, parameters)
+    known_blur = float(np.hypot(curve.error.std, slow))
+    displacement_changes = _systematic(curve.error, sharp, rows[0], blurred, amplitude, parameters, known_blur)
     offset_changes = np.zeros((2, len(amplitude)))
     if curve.band_limited:
         finite_conicities = conicity[0][np.isfinite(conicity[0])]
@@ -224,21 +227,24 @@ def _systematic(
     blurred: _Row,
     amplitude: FloatArray,
     parameters: CurveParameters,
+    known_blur: float,
 ) -> FloatArray:
     """Return by how much each systematic error of the displacement changes the conicity: (4, a)."""
     # The whole correction of the error stands for its uncertainty; ``blur_share`` of what sharpening changed stands for
-    # the blur, the whole change where ``sharp.left`` > 0. Stretched or displaced jumps change the conicity in steps.
+    # the blur, the whole change where ``sharp.left`` > 0. How far jumps may be off goes by the blur beyond what the
+    # error of y - d and the high-pass make (``known_blur``, m): that much the gauge varies. The stated gauge is no
+    # measure of it, for whatever makes passes disagree is in it.
     x, curve = row
     here = equivalent_conicity(x, curve, amplitude)
     middle = zero_crossing(x, curve)
-    jump = error.jump_place_std(min(sharp.blur, error.blur) + sharp.left)
+    jump = error.jump_place_std(math.sqrt(max(sharp.blur**2 - known_blur**2, 0.0)), sharp.left)
 
     covered = float(np.max(amplitude[np.isfinite(here)], initial=0.0))  # beyond, the conicity is as at its end
 
     def stretched(share: float) -> FloatArray:
         factor = 1.0 + share * error.scale
-        if factor <= 0.0:
-            return np.full(len(here), np.inf)  # stretched to nothing: any conicity is possible
+        if error.scale * NORMAL_95 >= 1.0:
+            return np.full(len(here), np.inf)  # perhaps stretched to nothing: any conicity is possible
         if covered <= 0.0:
             return np.full(len(here), np.nan)
         return equivalent_conicity(x, curve, np.minimum(amplitude / factor, covered)) / factor
@@ -250,8 +256,8 @@ def _systematic(
         [
             equivalent_conicity(x / (1 - error.excess), curve, amplitude) - here,
             (1.0 if sharp.left else parameters.blur_share) * (equivalent_conicity(*blurred, amplitude) - here),
-            widest(stretched, here),
-            widest(displaced, here) if np.isfinite(middle) else np.zeros(len(here)),
+            rms_change(stretched, here),
+            rms_change(displaced, here) if np.isfinite(middle) else np.zeros(len(here)),
         ]
     )
 

@@ -50,7 +50,6 @@ class GeometryParameters:
     # Samples that say as much as one would of the scales of sensors and of their angle: errors of y - d last, and look
     # like scales; they do not look like roll.
     counted_as_one: tuple[float, float, float] = (10_000.0, 10_000.0, 1_000.0)
-    hidden_jump_share: float = 0.5  # of the error of y - d, by which contact jumps are off where it is hidden
     hidden_share: float = 0.5  # of the residual's variance by sensor noise, for the rest to show the error of y - d
 
 
@@ -127,7 +126,7 @@ def _screened(
     unc = parameters.uncertainty
     centre = table.centres
     expected = _expected_noise(table, bins, unc)
-    noise, hidden = _displacement_noise(replicates, too_few | jump, bins, expected, parameters)
+    noise = _displacement_noise(replicates, too_few | jump, bins, expected, parameters)
     error = DisplacementError.of(
         noise,
         centre,
@@ -135,7 +134,7 @@ def _screened(
         integrated=bins.band_limited,
         scale=unc.displacement,
         jump_position_std=unc.jump_position_std,
-        jump_mean_std=float(np.hypot(unc.jump_mean_std, parameters.hidden_jump_share * noise if hidden else 0.0)),
+        jump_mean_std=unc.jump_mean_std,
     )
     return _BinScreening(too_few, jump, centre, error, parameters.informative)
 
@@ -201,8 +200,8 @@ def _jumps(replicates: _Replicates, too_few: BoolArray, parameters: GeometryPara
 
 def _displacement_noise(
     replicates: _Replicates, out: BoolArray, bins: BinParameters, expected: float, parameters: GeometryParameters
-) -> tuple[float, bool]:
-    """Return the std of the error of y - d, m, from residual over slope where that is least, and whether it is hidden.
+) -> float:
+    """Return the std of the error of y - d, m, from residual over slope where that is least.
 
     Least, because curvature and jumps near by add to the residual; over the root of two, because rL - rR has lost its
     slow part like y - d, and has an error of the same size; up to all of it where that much is ``expected``, m, of
@@ -214,13 +213,13 @@ def _displacement_noise(
     residual = np.sqrt(np.maximum(replicates.residual**2 - of_sensors, 0.0))
     use = ~out & np.isfinite(slope) & np.isfinite(residual)
     if use.sum() < parameters.fewest_bins:
-        return 0.0, False
+        return 0.0
     steep = use & (slope >= np.median(slope[use]))
     least = float(np.quantile(residual[steep] / slope[steep], 0.25) / np.sqrt(2.0))
     most = float(np.linalg.norm(residual[use]) / max(float(np.linalg.norm(slope[use])), 1e-300))
     shown = max(least, min(most, expected))
     share = float(np.median(of_sensors[use] / np.maximum(replicates.residual[use] ** 2, 1e-300)))
-    return (max(shown, expected), True) if share > parameters.hidden_share else (shown, False)
+    return max(shown, expected) if share > parameters.hidden_share else shown
 
 
 @dataclass(frozen=True, slots=True)

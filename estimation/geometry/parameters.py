@@ -15,7 +15,8 @@ class PriorParameters:
     least_scale_std: float = 0.002  # relative, of any sensor: its digits and its drift
     mounting_std: float = math.radians(2.0)  # of the angle of a yaw sensor about the lateral axis
     jump_place_std: float = 0.03e-3  # m, std of where a contact jump is found without any gauge
-    jump_place_share: float = 0.3  # of the blur, the same
+    jump_place_per_excess: float = 0.08  # of the blur beyond what is known, the same: 0.02 to 0.05 mm in eight fleets
+    jump_place_per_left: float = 0.3  # of the blur that could not be taken away
     projection_scale_std: float = 0.003  # of a displacement that was integrated and projected
     scatter_stds: float = 2.5  # std over which samples scatter across a jump, in std of the error
     origin_std: float = 0.005e-3  # m, of the origin of band-limited motion: the mean of observed displacements

@@ -43,13 +43,12 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.motion.parameters import MOTION
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.memory import MEMORY
-from estimation.values.units import NORMAL_95
 from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import VehicleClass
 
@@ -74,6 +73,7 @@ class SharpeningParameters:
     held_slopes: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)  # lambda, twice the conicity
     roll_per_displacement: float = 0.03  # rad/m, of phi_c, of any wheel
     roll_per_radius: float = 0.3  # rad/m, of phi_c per R without its rises
+    deviates: int = 8  # values that stand for a normal distribution
     crown_depth: float = 0.16  # m, below the rail head: about where a wheel turns that passes its crown
 
 
@@ -314,18 +314,25 @@ def held_difference_std(shares: tuple[float, ...], conicity: float) -> float:
 
 
 def moved_off(x: FloatArray, curve: FloatArray, amplitude: FloatArray, std: float) -> FloatArray:
-    """Return the change of the conicity (a,) per standard deviation of the mean of R, the larger of both ways."""
+    """Return the change of the conicity (a,) per standard deviation of the mean of R."""
     # about the running position the curve is nearly as it is about the rolling line, so that small differences change
     # little and large ones much
     here = equivalent_conicity(x, curve, amplitude)
-    return widest(lambda share: equivalent_conicity(x, curve + share * std, amplitude), here)
+    return rms_change(lambda share: equivalent_conicity(x, curve + share * std, amplitude), here)
 
 
-def widest(changed: Callable[[float], FloatArray], here: FloatArray) -> FloatArray:
-    """Return the largest change per std within a 95 % interval, either way: a jump may be passed far out only."""
-    # where a change leaves the range covered, the other way counts
-    changes = [np.abs(changed(share) - here) / abs(share) for share in (-NORMAL_95, -1.0, 1.0, NORMAL_95)]
-    return np.asarray(np.max(np.nan_to_num(changes, posinf=np.inf), axis=0))
+# standard normal deviates of equal weight, with a mean square of one
+_DEVIATES = ndtri((np.arange(SHARPENING.deviates) + 0.5) / SHARPENING.deviates)
+_DEVIATES /= np.sqrt(np.mean(_DEVIATES**2))
+
+
+def rms_change(changed: Callable[[float], FloatArray], here: FloatArray) -> FloatArray:
+    """Return the rms change over a normal distribution: a jump may be passed far out only."""
+    changes = np.array([changed(float(deviate)) - here for deviate in _DEVIATES])
+    # where a change leaves the range covered, the others count
+    inside = ~np.isnan(changes)
+    square = np.where(inside, changes, 0.0) ** 2
+    return np.asarray(np.sqrt(square.sum(axis=0) / np.maximum(inside.sum(axis=0), 1)))
 
 
 class ContactRoll(StrEnum):

@@ -56,7 +56,7 @@ class ParameterUncertainty:
     jump_share_uncorrected: float = 0.5  # of the gauge's own std: contact jumps move by half the gauge deviation
     jump_share_corrected: float = 0.22  # the same where the effect of the gauge is taken off
     jump_share_gauge_estimated: float = 0.32  # the same where the gauge had to be found too
-    jump_mean_share: float = 0.25  # of a gauge that is not on file: by how much contact jumps are off on average
+    jump_mean_share: float = 0.45  # of a gauge that is not on file: by how much contact jumps are off on average
     scale_per_gauge_square: float = 0.015e6  # 1/m2, of y - d per variance of the gauge: far out it is wide
     scale_per_mean_gauge: float = 0.15e3  # 1/m, of y - d per gauge that is wide as a whole: worn wheels at 3 mm
     sensor_scale: float = 0.02  # std of the spring error by the scales of the sensors
@@ -74,6 +74,10 @@ class ParameterUncertainty:
     fewest_bins: int = 5
     free_std: float = 1e6  # std of what nothing is known of beforehand
     straight_std: float = 1e-8  # rad, std of the angle for the spring error: it is that of sensors that are not turned
+    # std of the scale of an alignment: jumps may be off together from the first, and are taken to be from the second
+    open_scale: tuple[float, float] = (0.05, 0.08)
+    long_waves: int = 16  # parts of a section whose mean gauge shows waves that are longer than they are
+    jump_share_long: float = 0.75  # of the std of the mean of a known gauge: by how much jumps are off on average
 
     @classmethod
     def of(cls, vehicle_class: VehicleClass) -> Self:
@@ -172,7 +176,15 @@ def _jump_position_std(track: TrackAlignment, wheelset: str | None, uncertainty:
 
 
 def _jump_mean_std(track: TrackAlignment, uncertainty: ParameterUncertainty) -> float:
-    return 0.0 if track.gauge_known else uncertainty.jump_mean_share * float(np.median(track.gauge_deviation_std))
+    # A gauge of waves so long that the filters take them moves all jumps together, and blurs none. Where it is known, a
+    # section has few such waves, and what they do on average is no more than by the mean of few. Where it is not known,
+    # the scale of the alignment is open too.
+    if track.gauge_known:
+        means = [float(part.mean()) for part in np.array_split(track.gauge_deviation, uncertainty.long_waves)]
+        return uncertainty.jump_share_long * float(np.std(means)) / math.sqrt(uncertainty.long_waves)
+    low, high = uncertainty.open_scale
+    share = min(max((track.scale_std - low) / (high - low), 0.0), 1.0)
+    return share * uncertainty.jump_mean_share * float(np.median(track.gauge_deviation_std))
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,9 +203,15 @@ class DisplacementError:
         """The std, m, over which the error and a varying gauge blur contact jumps."""
         return float(np.hypot(self.std, self.jump_position_std))
 
-    def jump_place_std(self, blur: float) -> float:
-        """Return the std, m, of where contact jumps are found on average behind a blur (m, std)."""
-        return float(np.linalg.norm([PRIORS.jump_place_std, PRIORS.jump_place_share * blur, self.jump_mean_std]))
+    def jump_place_std(self, excess: float, left: float) -> float:
+        """Return the std, m, of where contact jumps are found on average.
+
+        Args:
+            excess: Blur, m std, that has been taken away beyond what the error of y - d makes.
+            left: Blur, m std, that could not be taken away.
+        """
+        of_blur = PRIORS.jump_place_per_excess * excess, PRIORS.jump_place_per_left * left
+        return float(np.linalg.norm([PRIORS.jump_place_std, *of_blur, self.jump_mean_std]))
 
     @staticmethod
     def of(

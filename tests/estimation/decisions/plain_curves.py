@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy import stats
 
 from estimation.geometry.conicity import CurveEstimates, CurveParameters, CurveReplicates, curve_estimates
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Estimate
-from estimation.values.units import NORMAL_95
 
 WIDTH = 0.25e-3
 EDGES = (np.arange(-28, 30) - 0.5) * WIDTH
@@ -21,7 +21,7 @@ PARAMETERS = CurveParameters()
 CONE = 0.1  # tan gamma_e: rL - rR = 2 x 0.1 x
 GROUPS = 6
 AT_3 = PARAMETERS.amplitudes.index(3e-3)
-STRETCHED = (CONE / (1.0 - NORMAL_95 * 0.02) - CONE) / NORMAL_95  # by a scale of 0.02, at the end of 95 %
+STRETCHED = CONE * 0.02 * (1.0 + 2.0 * 0.02**2)  # rms over a scale of 0.02, to the second order
 
 
 def line(slope: float, offset: float = 0.0) -> FloatArray:
@@ -43,6 +43,12 @@ def curve(shape: FloatArray | None = None, *others: FloatArray, **changes: objec
         EDGES, rows, np.zeros((BINS, 0, 3)), np.ones(BINS, dtype=bool), EXACT, 8.0, band_limited=True
     )
     return replace(made, **changes)
+
+
+def deviates() -> FloatArray:
+    """Return eight values that stand for a normal distribution: in the middles of its eighths, of mean square one."""
+    middles = stats.norm.ppf((2.0 * np.arange(8) + 1.0) / 16.0)
+    return np.asarray(middles / np.sqrt(np.mean(middles**2)))
 
 
 def estimates(item: CurveReplicates) -> CurveEstimates:

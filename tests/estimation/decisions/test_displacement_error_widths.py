@@ -41,14 +41,19 @@ def test_the_variance_is_that_of_the_samples() -> None:
 
 
 @pytest.mark.parametrize(
-    ("blur", "mean", "expected"),
-    [(0.0, 0.0, 0.03e-3), (0.3e-3, 0.0, 0.0949e-3), (0.3e-3, 0.1e-3, 0.1378e-3)],
+    ("excess", "left", "mean", "expected"),
+    [
+        (0.0, 0.0, 0.0, 0.03e-3),
+        (0.5e-3, 0.0, 0.0, 0.05e-3),
+        (0.0, 0.3e-3, 0.0, 0.0949e-3),
+        (0.0, 0.3e-3, 0.1e-3, 0.1378e-3),
+    ],
 )
-def test_a_contact_jump_is_placed_to_three_hundredths_of_a_millimetre_and_three_tenths_of_the_blur(
-    blur: float, mean: float, expected: float
+def test_a_contact_jump_is_placed_to_hundredths_of_a_millimetre_and_less_well_by_blur(
+    excess: float, left: float, mean: float, expected: float
 ) -> None:
     error = DisplacementError.of(0.1e-3, CENTRE, SAMPLES, integrated=True, jump_mean_std=mean)
-    assert error.jump_place_std(blur) == pytest.approx(expected, rel=1e-3)
+    assert error.jump_place_std(excess, left) == pytest.approx(expected, rel=1e-3)
 
 
 def rounded(std: float, x: FloatArray, values: FloatArray) -> FloatArray:

@@ -277,7 +277,7 @@ def test_the_yaw_uncertainty_reaches_the_conicity() -> None:
 
 def noise_of(
     residual: FloatArray, slope: FloatArray, out: BoolArray, expected: float = 0.0, of_sensors: float = 0.0
-) -> tuple[float, bool]:
+) -> float:
     """Return the error of y - d of bins with these residuals, m, and slopes of R; of_sensors is a variance, m2."""
     yaw = np.zeros((1, BINS, 4, 7))
     yaw[0, :, 2, 0] = slope * PARAMETERS.width
@@ -291,7 +291,7 @@ def test_the_noise_of_the_displacement_is_up_to_all_of_the_residual_where_that_m
     expected: float, found: float
 ) -> None:
     nothing = np.zeros(BINS, dtype=bool)
-    assert noise_of(every(1e-5), every(0.2), nothing, expected) == (pytest.approx(found), False)
+    assert noise_of(every(1e-5), every(0.2), nothing, expected) == pytest.approx(found)
 
 
 @pytest.mark.parametrize(("share", "hidden"), [(0.49, False), (0.51, True)])
@@ -300,7 +300,7 @@ def test_the_noise_of_sensors_hides_that_of_the_displacement_from_half_of_the_re
 ) -> None:
     nothing, left = np.zeros(BINS, dtype=bool), 5e-5 * np.sqrt(1.0 - share)
     found = noise_of(every(1e-5), every(0.2), nothing, 9e-5, share * 1e-10)
-    assert found == (pytest.approx(9e-5 if hidden else left), hidden)
+    assert found == pytest.approx(9e-5 if hidden else left)
 
 
 def test_the_noise_of_the_displacement_is_the_lower_quartile_in_the_steeper_half() -> None:
@@ -309,21 +309,21 @@ def test_the_noise_of_the_displacement_is_the_lower_quartile_in_the_steeper_half
     steep = sorted(range(BINS), key=lambda b: -abs(slope[b]))[: (BINS + 1) // 2]
     expected = np.percentile([residual[b] / abs(slope[b]) for b in steep], 25.0) / np.sqrt(2.0)
     nothing = np.zeros(BINS, dtype=bool)
-    assert noise_of(residual, slope, nothing) == (pytest.approx(expected), False)
+    assert noise_of(residual, slope, nothing) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(("left", "known"), [(5, True), (4, False)])
 def test_the_noise_of_the_displacement_needs_five_bins(left: int, *, known: bool) -> None:
     out = np.arange(BINS) >= left
     residual, slope = odd(1e-5, 1e-3), every(0.2)
-    noise, _ = noise_of(residual, slope, out)
+    noise = noise_of(residual, slope, out)
     assert noise == (pytest.approx(1e-5 / 0.2 / np.sqrt(2.0)) if known else 0.0)
     broken = residual.copy()
     broken[left:] = np.nan
     nothing = np.zeros(BINS, dtype=bool)
-    assert noise_of(broken, slope, nothing)[0] == noise
+    assert noise_of(broken, slope, nothing) == noise
     slope[left:] = np.nan
-    assert noise_of(residual, slope, nothing)[0] == noise
+    assert noise_of(residual, slope, nothing) == noise
 
 
 def test_a_table_of_other_parameters_is_refused() -> None:

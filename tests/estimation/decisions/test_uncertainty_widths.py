@@ -111,13 +111,27 @@ def test_a_gauge_that_is_not_known_moves_jumps_by_its_std_where_nothing_was_foun
     assert UNCERTAIN.on([surveyed]).jump_position_std == pytest.approx(0.5 * GAUGE_STD, rel=0.005)
 
 
-def test_a_gauge_that_is_not_on_file_moves_jumps_on_average_by_a_quarter_of_its_std() -> None:
-    """Of several tracks the worst counts; on a surveyed gauge nothing is left."""
+@pytest.mark.parametrize(("scale", "share"), [(0.049, 0.0), (0.065, 0.5), (0.081, 1.0), (0.2, 1.0)])
+def test_a_gauge_that_is_not_on_file_moves_jumps_together_where_the_scale_is_open_too(
+    scale: float, share: float
+) -> None:
+    """Of several tracks the worst counts."""
     n = len(track().s)
-    tracks = [replace(track(gauge_known=False), gauge_deviation_std=np.full(n, std)) for std in (0.4e-3, 0.6e-3)]
-    assert UNCERTAIN.on(tracks).jump_mean_std == pytest.approx(0.15e-3)
-    assert UNCERTAIN.on([replace(track(), gauge_deviation_std=np.full(n, 0.6e-3))]).jump_mean_std == 0.0
+    tracks = [
+        replace(track(gauge_known=False), gauge_deviation_std=np.full(n, std), scale_std=scale)
+        for std in (0.4e-3, 0.6e-3)
+    ]
+    assert UNCERTAIN.on(tracks).jump_mean_std == pytest.approx(share * 0.27e-3)
     assert replace(UNCERTAIN, jump_mean_std=1e-4).on([]).jump_mean_std == 1e-4
+
+
+@pytest.mark.parametrize(("waves", "share"), [(2, 0.75 / 4.0), (160, 0.0)])
+def test_long_waves_of_a_known_gauge_move_jumps_on_average(waves: int, share: float) -> None:
+    """A gauge of 1 mm in blocks of one sign: an eighth of the section each, or less than a tenth of a part."""
+    n = len(track().s)
+    gauge = 1e-3 * np.sign(np.sin(2.0 * np.pi * waves * (np.arange(n) + 0.5) / n))
+    moved = UNCERTAIN.on([replace(track(), gauge_deviation=gauge)]).jump_mean_std
+    assert moved == pytest.approx(share * 1e-3, abs=1e-5)
 
 
 @pytest.mark.parametrize("std", [0.0, 1e-3, 3e-3])

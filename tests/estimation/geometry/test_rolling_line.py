@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
@@ -62,8 +63,10 @@ def test_a_straight_curve_has_its_conicity_wherever_it_is_held() -> None:
     bent = 0.3 * X + 5e3 * X**3
     changes = moved_off(X, bent, amplitudes, 0.3e-3)
     here = equivalent_conicity(X, bent, amplitudes)
-    far = equivalent_conicity(X, bent + 1.96 * 0.3e-3, amplitudes)
-    np.testing.assert_allclose(changes, np.abs(far - here) / 1.96, rtol=1e-3)
+    middles = stats.norm.ppf((2.0 * np.arange(8) + 1.0) / 16.0)
+    moves = 0.3e-3 * middles / np.sqrt(np.mean(middles**2))
+    moved = np.stack([equivalent_conicity(X, bent + move, amplitudes) for move in moves])
+    np.testing.assert_allclose(changes, np.sqrt(np.mean((moved - here) ** 2, axis=0)), rtol=1e-3)
 
 
 def test_the_middle_of_the_travel_is_that_of_the_energy() -> None:
