@@ -73,7 +73,7 @@ def run(gauge_std: float, seconds: float, seed: int) -> Case:
     motion = simulate_gear(RunningGear(), [table], track, speed, 20.0)[0]
     seen = ideal_motion(motion)
     parameters = bin_table.BinParameters()
-    certain = GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))
+    certain = GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=(0.0, 0.0)))
     estimate = estimate_geometry(bin_table.tabulate(seen, parameters), parameters, certain)
     algorithm = paper_algorithm.PaperAlgorithm(width=parameters.width)
     printed = paper_algorithm.estimate(seen, VehicleParameters(), algorithm)

@@ -211,7 +211,7 @@ def _estimated(ran: WheelsetMotion, vehicle: VehicleParameters, form: str) -> Fl
     parameters = bin_table.BinParameters(vehicle=vehicle)
     roll = ROLLS.get(form)
     scale = 0.0 if roll is None else SCALE_STDS[roll]
-    of_roll = ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0, displacement=scale, contact_roll=roll)
+    of_roll = ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=(0.0, 0.0), displacement=scale, contact_roll=roll)
     geometry = estimate_geometry(
         bin_table.tabulate(motion, parameters), parameters, GeometryParameters(uncertainty=of_roll)
     )

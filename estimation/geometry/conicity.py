@@ -192,9 +192,13 @@ def _rows(
     shifted = nodes[0] + nodes_of(np.moveaxis(curve.sensitivity[run], 1, -1)).T  # (k, m)
     rows = [curve.row(displacement, sharp.curve(node_values)) for node_values in (*nodes, *shifted)]
     conicity = np.stack([equivalent_conicity(*row, amplitude) for row in rows])
-    unsharpened = (1 - curve.error.excess) * edges_and_centres(low, high)
-    blurred = curve.row(unsharpened, replace(curve.error, std=sharp.left).rounded(unsharpened, nodes[0]))
     known_blur = float(np.hypot(curve.error.std, slow))
+    if curve.error.gauge_known:  # then all of the blur is there, also what the nodes did not allow to take away
+        known_blur = float(np.hypot(known_blur, curve.error.jump_position_std))
+        sharp = replace(sharp, left=max(sharp.left, math.sqrt(max(known_blur**2 - sharp.blur**2, 0.0))))
+    unsharpened = (1 - curve.error.excess) * edges_and_centres(low, high)
+    left_in = replace(curve.error, std=sharp.left).rounded(displacement, sharp.curve(nodes[0]))
+    blurred = curve.row(unsharpened, nodes[0]), curve.row(displacement, left_in)
     displacement_changes = _systematic(curve.error, sharp, rows[0], blurred, amplitude, parameters, known_blur)
     offset_changes = np.zeros((2, len(amplitude)))
     if curve.band_limited:
@@ -224,7 +228,7 @@ def _systematic(
     error: DisplacementError,
     sharp: Sharpening,
     row: _Row,
-    blurred: _Row,
+    blurred: tuple[_Row, _Row],
     amplitude: FloatArray,
     parameters: CurveParameters,
     known_blur: float,
@@ -255,7 +259,10 @@ def _systematic(
     return np.stack(
         [
             equivalent_conicity(x / (1 - error.excess), curve, amplitude) - here,
-            (1.0 if sharp.left else parameters.blur_share) * (equivalent_conicity(*blurred, amplitude) - here),
+            np.hypot(
+                parameters.blur_share * (equivalent_conicity(*blurred[0], amplitude) - here),
+                equivalent_conicity(*blurred[1], amplitude) - here,
+            ),
             rms_change(stretched, here),
             rms_change(displaced, here) if np.isfinite(middle) else np.zeros(len(here)),
         ]

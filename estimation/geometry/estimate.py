@@ -135,6 +135,7 @@ def _screened(
         scale=unc.displacement,
         jump_position_std=unc.jump_position_std,
         jump_mean_std=unc.jump_mean_std,
+        gauge_known=unc.gauge_known,
     )
     return _BinScreening(too_few, jump, centre, error, parameters.informative)
 
@@ -143,7 +144,7 @@ def _curve(
     table: BinTable, replicates: _Replicates, screening: _BinScreening, bins: BinParameters, unc: ParameterUncertainty
 ) -> CurveReplicates:
     shape = np.moveaxis(replicates.yaw[:, :, 1:, :], 2, -1)  # (1 + g, b, 8, 3), by target
-    of_parameters = shape[0, :, 1:, :] * unc.yaw()[:, None]
+    of_parameters = shape[0, :, 1:, :] * unc.yaw(linear=False)[:, None]
     return CurveReplicates(
         edges=table.edges,
         difference=shape[:, :, 0, :],
@@ -173,7 +174,9 @@ def _replicates(table: BinTable, bins: BinParameters, parameters: GeometryParame
     else:
         stds = parameters.uncertainty.of_bogie
         yaw, by_scales = solve_with_shared_scales(sums, weight, size, len(YAW_TARGETS), stds, parameters.counted_as_one)
-    own = yaw.theta.reshape(len(weight), b, size, len(YAW_TARGETS))[:, :, size - REGRESSORS :]
+    own = yaw.theta.reshape(len(weight), b, size, len(YAW_TARGETS))[:, :, size - REGRESSORS :].copy()
+    # the sums are of linear creep
+    own[..., 0] += parameters.uncertainty.inverse_friction[0] * own[..., YAW_TARGETS.index("saturation")]
     vehicle = bins.vehicle
     per_metre = vehicle.half_contact_distance * vehicle.longitudinal_creep_coefficient / vehicle.nominal_radius
     return _Replicates(
@@ -242,7 +245,7 @@ def _combinations(
     # besides the parameters' stds enter those of the scales into R
     by_scales = np.broadcast_to(replicates.by_scales[:, 0], (*R.shape[:2], replicates.by_scales.shape[-1]))
     R = np.concatenate([R, R[:, :, :1], by_scales], axis=-1)
-    of_R = np.concatenate([unc.yaw(), [unc.scale], np.ones(by_scales.shape[-1])])
+    of_R = np.concatenate([unc.yaw(linear=False), [unc.scale], np.ones(by_scales.shape[-1])])
     if bins.wheelbase is not None:  # A cannot be seen beside the yaw spring
         A = np.full_like(A, np.nan)
     # the data determine D times f23/r0 - W/2, of which f23 and W are uncertain
@@ -252,7 +255,7 @@ def _combinations(
     return {
         "rolling_radius_sum": _combination(replicates.lateral[:, :, 0], unc.lateral(), screening, radius),
         "rolling_radius_difference": _combination(R, of_R, screening, radius),
-        "contact_angle_sum": _combination(A, unc.yaw(), screening, angle),
+        "contact_angle_sum": _combination(A, unc.yaw(linear=False), screening, angle),
         "contact_angle_difference": _combination(D, unc.lateral(), screening, angle, widening),
     }
 

@@ -16,7 +16,7 @@ import numpy as np
 from estimation.geometry.parameters import PRIORS
 from estimation.geometry.sharpening import FREE, ContactRoll, held_shares
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindings
+from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindings, open_gauge_std
 from estimation.vehicle.vehicle_class import VehicleClass
 
 MOUNTING_STD = PRIORS.mounting_std
@@ -43,7 +43,8 @@ class ParameterUncertainty:
     stiffness: float = 0.05
     mass: float = 0.025
     ratio: float | None = None
-    inverse_friction: float = 3.0  # of 1/mu, which is taken as zero: creep forces are linear
+    # mean and std of 1/mu, by which creep falls short of the linear law: rails have a mu of 0.15 to 0.6
+    inverse_friction: tuple[float, float] = (3.3, 1.2)
     displacement: float = 0.0  # of a common scale error of y - d: lateral sensor and alignment
     jump_position_std: float = 0.0  # m, of where contact jumps are from place to place, on a gauge that varies
     jump_mean_std: float = 0.0  # m, of where they are on average: a gauge that is not on file
@@ -56,7 +57,9 @@ class ParameterUncertainty:
     jump_share_uncorrected: float = 0.5  # of the gauge's own std: contact jumps move by half the gauge deviation
     jump_share_corrected: float = 0.22  # the same where the effect of the gauge is taken off
     jump_share_gauge_estimated: float = 0.32  # the same where the gauge had to be found too
-    jump_mean_share: float = 0.45  # of a gauge that is not on file: by how much contact jumps are off on average
+    jump_mean_share: float = (
+        0.45  # of a gauge that hides in the alignment: by how much contact jumps are off on average
+    )
     scale_per_gauge_square: float = 0.015e6  # 1/m2, of y - d per variance of the gauge: far out it is wide
     scale_per_mean_gauge: float = 0.15e3  # 1/m, of y - d per gauge that is wide as a whole: worn wheels at 3 mm
     sensor_scale: float = 0.02  # std of the spring error by the scales of the sensors
@@ -74,10 +77,9 @@ class ParameterUncertainty:
     fewest_bins: int = 5
     free_std: float = 1e6  # std of what nothing is known of beforehand
     straight_std: float = 1e-8  # rad, std of the angle for the spring error: it is that of sensors that are not turned
-    # std of the scale of an alignment: jumps may be off together from the first, and are taken to be from the second
-    open_scale: tuple[float, float] = (0.05, 0.08)
     long_waves: int = 16  # parts of a section whose mean gauge shows waves that are longer than they are
     jump_share_long: float = 0.75  # of the std of the mean of a known gauge: by how much jumps are off on average
+    gauge_known: bool = False  # of all tracks
 
     @classmethod
     def of(cls, vehicle_class: VehicleClass) -> Self:
@@ -114,16 +116,22 @@ class ParameterUncertainty:
                 (_jump_position_std(track, wheelset, self) for track in used), default=self.jump_position_std
             ),
             jump_mean_std=max((_jump_mean_std(track, self) for track in used), default=self.jump_mean_std),
+            gauge_known=bool(used) and all(track.gauge_known for track in used),
         )
 
     def lateral(self) -> FloatArray:
         """(6,) relative stds in the order of LATERAL_TARGETS after z1."""
         return np.array([self.creep, self.creep, self.mass, self.mass, self.stiffness, self.stiffness])
 
-    def yaw(self) -> FloatArray:
-        """(7,) relative stds in the order of YAW_TARGETS after z2; that of saturation is of 1/mu."""
+    def yaw(self, *, linear: bool = True) -> FloatArray:
+        """(7,) relative stds in the order of YAW_TARGETS after z2; that of saturation is of 1/mu.
+
+        Args:
+            linear: Whether creep forces are taken as linear, so that all of 1/mu is error.
+        """
         creep, stiffness = (self.creep, self.stiffness) if self.ratio is None else (0.0, self.ratio)
-        return np.array([creep, stiffness, self.mass, self.creep, self.inverse_friction, 0.0, 0.0])
+        friction = math.hypot(*self.inverse_friction) if linear else self.inverse_friction[1]
+        return np.array([creep, stiffness, self.mass, self.creep, friction, 0.0, 0.0])
 
 
 def _sensors_of_bogie(vehicle_class: VehicleClass) -> tuple[float, float, float]:
@@ -177,14 +185,11 @@ def _jump_position_std(track: TrackAlignment, wheelset: str | None, uncertainty:
 
 def _jump_mean_std(track: TrackAlignment, uncertainty: ParameterUncertainty) -> float:
     # A gauge of waves so long that the filters take them moves all jumps together, and blurs none. Where it is known, a
-    # section has few such waves, and what they do on average is no more than by the mean of few. Where it is not known,
-    # the scale of the alignment is open too.
+    # section has few such waves, and what they do on average is no more than by the mean of few.
     if track.gauge_known:
         means = [float(part.mean()) for part in np.array_split(track.gauge_deviation, uncertainty.long_waves)]
         return uncertainty.jump_share_long * float(np.std(means)) / math.sqrt(uncertainty.long_waves)
-    low, high = uncertainty.open_scale
-    share = min(max((track.scale_std - low) / (high - low), 0.0), 1.0)
-    return share * uncertainty.jump_mean_share * float(np.median(track.gauge_deviation_std))
+    return uncertainty.jump_mean_share * open_gauge_std(track.scale_std, float(np.median(track.gauge_deviation_std)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,6 +202,7 @@ class DisplacementError:
     origin: float = 0.0  # m, std
     jump_position_std: float = 0.0  # m, std of where contact jumps are besides, from place to place
     jump_mean_std: float = 0.0  # m, the same on average
+    gauge_known: bool = False  # so that jumps are blurred by as much as is stated
 
     @property
     def blur(self) -> float:
@@ -221,6 +227,7 @@ class DisplacementError:
         *,
         integrated: bool,
         scale: float = 0.0,
+        gauge_known: bool = False,
         **jumps: float,
     ) -> DisplacementError:
         """Return the error for displacements distributed as ``samples`` (b,) over bins at ``centre`` (b,), m.
@@ -231,7 +238,8 @@ class DisplacementError:
         variance = float(np.average(centre**2, weights=samples)) if samples.any() else 0.0
         excess = min(std**2 / variance, PRIORS.most_error_share) if variance > 0 else 0.0
         known = (0.0, 0.0) if not integrated else (PRIORS.projection_scale_std, PRIORS.origin_std)
-        return DisplacementError(std, excess, float(np.hypot(known[0], scale)), known[1], **jumps)
+        stretch = float(np.hypot(known[0], scale))
+        return DisplacementError(std, excess, stretch, known[1], gauge_known=gauge_known, **jumps)
 
     def rounded(self, x: FloatArray, values: FloatArray) -> FloatArray:
         """Return the curve averaged over a normal error of x (three-point Gauss-Hermite); straight beyond its ends."""

@@ -31,6 +31,7 @@ from estimation.values.track import (
     TrackAlignment,
     TrackFindings,
     TrackSectionRecord,
+    open_gauge_std,
 )
 
 
@@ -165,9 +166,12 @@ def merged_alignment(
     profile_std, profile_scale_std = _profile_uncertainty(iterated)
     slope_std = 0.0 if iterated.slope is None else min(iterated.slope.std, p.open_slope_std)
     gauge_model_std = p.systematic_per_gauge[found_gauge is not None] * float(np.std(gauge))
+    prior_scale_std = 0.0 if prior is None else prior.scale_std * float(np.median(weight / total_weight))
+    scale_std = float(np.linalg.norm([_scale_std(found_gauge, p), profile_scale_std, slope_std, prior_scale_std]))
+    hidden = 0.0 if prior_on_panel.gauge_known else open_gauge_std(scale_std, float(np.median(gauge_std)))
+    gauge_model_std = math.hypot(gauge_model_std, p.systematic_per_open_gauge * hidden)
     systematic = p.systematic**2 + gauge_model_std**2 + profile_std**2 + (slope_std * long_wave.curves) ** 2
     std = _std(long_wave, total_weight, iterated.solution.common_std, systematic)
-    prior_scale_std = 0.0 if prior is None else prior.scale_std * float(np.median(weight / total_weight))
     return TrackAlignment(
         section=section,
         version=0,
@@ -180,7 +184,7 @@ def merged_alignment(
         status=Status.ESTIMATED,
         source=AlignmentSource.FLEET,
         cutoff_wavelength=p.cutoff_wavelength,
-        scale_std=float(np.linalg.norm([_scale_std(found_gauge, p), profile_scale_std, slope_std, prior_scale_std])),
+        scale_std=scale_std,
         gauge_known=prior_on_panel.gauge_known and found_gauge is None,
         findings=track_findings,
     )

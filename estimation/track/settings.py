@@ -27,6 +27,7 @@ class SectionParameters:
     gauge_scale_error: float = 0.035  # the same where the gauge had to be found too
     systematic: float = 0.02e-3  # m, std of the alignment that blocks of data cannot show
     systematic_per_gauge: tuple[float, float] = (0.025, 0.055)  # the same per gauge deviation: recorded, found
+    systematic_per_open_gauge: float = 0.13  # the same per gauge that hides in the alignment
     cutoff_wavelength: float = 120.0  # m, longest wavelength that the alignment holds
     outlier_factor: float = 2.0  # times the median residual of the other journeys
     least_outlier_m: float = 0.4e-3  # m

@@ -25,7 +25,7 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Motion
 
-SURE = ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0)
+SURE = ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=(0.0, 0.0))
 RIVALS = pytest.mark.parametrize(
     "estimator", [one for one in estimators() if one.name != SHIPPED], ids=lambda one: one.name
 )

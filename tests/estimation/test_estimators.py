@@ -25,7 +25,7 @@ from estimation.values.windows import Motion
 from estimation.vehicle.regressors import regression
 from estimation.vehicle.vehicle_class import VehicleParameters
 
-CERTAIN = EstimatorParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))
+CERTAIN = EstimatorParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=(0.0, 0.0)))
 ALL = pytest.mark.parametrize("estimator", estimators(), ids=lambda item: item.name)
 
 

@@ -19,7 +19,7 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from estimation.values.windows import Motion
 
-CERTAIN = ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0)
+CERTAIN = ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=(0.0, 0.0))
 CONES = {1: 0.1, 2: 0.14}  # of the front and the rear wheelset
 # error of the conicity at most
 NEAR = {

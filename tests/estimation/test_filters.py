@@ -26,7 +26,7 @@ from estimation.vehicle.vehicle_class import VehicleParameters
 from ingest.simulator.running_gear import RunningGear, simulate_gear
 
 LEVER, NOISE = 2 * 0.7452 * 0.45, 4e-5
-CERTAIN = EstimatorParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))
+CERTAIN = EstimatorParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=(0.0, 0.0)))
 FILTERS = pytest.mark.parametrize("estimator", [ExtendedKalman(), ParticleFilter()], ids=lambda item: item.name)
 
 

@@ -21,7 +21,8 @@ from estimation.values.windows import Motion
 
 LEVER, V = 2 * 0.7452 * 0.45, 20.0
 BAND_LIMITED = EstimatorParameters(
-    uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0, alignment_noise=4e-5), band_limited=True
+    uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=(0.0, 0.0), alignment_noise=4e-5),
+    band_limited=True,
 )
 STILL = (
     "lateral_velocity", "lateral_acceleration", "yaw", "yaw_acceleration", "roll", "roll_rate",

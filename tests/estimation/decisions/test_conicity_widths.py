@@ -236,3 +236,17 @@ def test_what_a_bogie_holds_off_the_rolling_line_widens_a_bent_curve_and_is_said
     absolute = estimates(replace(bent, held_shares=shares, band_limited=False))
     assert absolute.centre is not None
     assert (absolute.centre.std, absolute.centre.origin) == (0.0, CentreOrigin.TRACK_CENTRE)
+
+
+def test_a_known_gauge_blurs_also_what_the_nodes_do_not_allow_to_take_away() -> None:
+    """A sharp jump: none of the blur that is stated can be taken away, and all of it is there."""
+    jump = 0.3e-3 * (CENTRE > 1.6e-3) - 0.3e-3 * (CENTRE < -1.6e-3)
+    shape = line(2 * CONE) + np.column_stack([jump, np.zeros(BINS), np.zeros(BINS)])
+    error = DisplacementError(0.0, 0.0, 0.0, 0.0, 0.3e-3)
+    place = PARAMETERS.amplitudes.index(2e-3)
+    unknown, known = (
+        estimates(curve(shape, *[shape] * 6, error=replace(error, gauge_known=gauge_known))).conicity[place]
+        for gauge_known in (False, True)
+    )
+    assert value(known) == value(unknown)
+    assert std(known) > 1.5 * std(unknown)

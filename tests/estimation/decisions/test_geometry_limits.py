@@ -25,7 +25,7 @@ MIDDLE = BINS // 2
 ODD = MIDDLE + 3  # the bin that is made different
 VEHICLE = PARAMETERS.vehicle
 PER_METRE = VEHICLE.half_contact_distance * VEHICLE.longitudinal_creep_coefficient / VEHICLE.nominal_radius
-CERTAIN = GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))
+CERTAIN = GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=(0.0, 0.0)))
 CONE = 0.1
 RISE = 2 * CONE * PARAMETERS.width
 
@@ -245,14 +245,14 @@ def test_the_std_of_a_bin_is_that_of_its_groups_with_students_t() -> None:
 
 def test_band_limited_motion_adds_scale_and_origin_of_the_displacement() -> None:
     limited = replace(PARAMETERS, band_limited=True)
-    unknown = ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0, displacement=0.004, jump_position_std=0.0)
+    unknown = replace(CERTAIN.uncertainty, displacement=0.004, jump_position_std=0.0)
     for uncertainty, scale in ((CERTAIN.uncertainty, 0.003), (unknown, 0.005)):
         geometry = estimate_geometry(Wheelset().table(limited), limited, replace(CERTAIN, uncertainty=uncertainty))
         expected = 2 * CONE * np.hypot(scale * np.abs(CENTRE), 5e-6)
         np.testing.assert_allclose(geometry.rolling_radius_difference.std, expected, rtol=1e-3)
         assert code_of(geometry.zero_crossing.reason) is ReasonCode.OFFSET_NOT_OBSERVABLE
     jumps = replace(
-        CERTAIN, uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0, jump_position_std=0.2e-3)
+        CERTAIN, uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=(0.0, 0.0), jump_position_std=0.2e-3)
     )
     geometry = found(Wheelset(), jumps)
     np.testing.assert_allclose(geometry.rolling_radius_difference.std, 2 * CONE * 0.25 * 0.2e-3, rtol=1e-3)
@@ -260,7 +260,7 @@ def test_band_limited_motion_adds_scale_and_origin_of_the_displacement() -> None
 
 def test_bins_of_a_conicity_that_is_open_are_published() -> None:
     """A displacement known to 70 %: R to 0.6 mm at the last bin, the conicity of 0.28 to more than 0.1."""
-    unknown = replace(CERTAIN, uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0, displacement=0.7))
+    unknown = replace(CERTAIN, uncertainty=replace(CERTAIN.uncertainty, displacement=0.7))
     geometry = found(Wheelset(R=0.56 * CENTRE, rise=every(0.56 * PARAMETERS.width)), unknown)
     assert code_of(geometry.reason) is code_of(geometry.equivalent_conicity.reason) is ReasonCode.CONICITY_OPEN
     assert (geometry.status, geometry.reported_amplitude) == (Status.UNESTIMATED, 3e-3)

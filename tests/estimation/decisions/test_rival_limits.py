@@ -30,7 +30,7 @@ from estimation.values.reasons import ReasonCode
 from estimation.values.windows import Motion
 from estimation.vehicle.vehicle_class import VehicleParameters
 
-SURE = EstimatorParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))
+SURE = EstimatorParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=(0.0, 0.0)))
 
 
 class Noting(BlockFilters):

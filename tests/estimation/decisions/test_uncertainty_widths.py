@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -41,7 +42,7 @@ def test_the_defaults_are_half_of_the_95_percent_limits() -> None:
         "lateral_stiffness": 0.1,
         "lateral_damping": 0.1,
         "yaw_stiffness": 0.1,
-        "saturation": 6.0,  # of 1/mu, which is taken as zero
+        "saturation": 2.0 * math.hypot(3.3, 1.2),  # of 1/mu, where it is taken as zero
         "noise": 0.0,
         "displacement_noise": 0.0,
     }
@@ -52,7 +53,9 @@ def test_the_defaults_are_half_of_the_95_percent_limits() -> None:
 
 def test_an_estimated_ratio_stands_for_creep_and_stiffness_of_the_yaw_equation_alone() -> None:
     known = replace(UNCERTAIN, ratio=0.03)
-    np.testing.assert_allclose(known.yaw(), [0.0, 0.03, 0.025, 0.1, 3.0, 0.0, 0.0])
+    np.testing.assert_allclose(known.yaw(), [0.0, 0.03, 0.025, 0.1, math.hypot(3.3, 1.2), 0.0, 0.0])
+    assert UNCERTAIN.inverse_friction == (3.3, 1.2)
+    np.testing.assert_allclose(known.yaw(linear=False), [0.0, 0.03, 0.025, 0.1, 1.2, 0.0, 0.0])
     np.testing.assert_array_equal(known.lateral(), UNCERTAIN.lateral())
 
 

@@ -23,7 +23,7 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
 
 SETTINGS = EstimationSettings()
-CERTAIN = GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))
+CERTAIN = GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=(0.0, 0.0)))
 
 
 @cache

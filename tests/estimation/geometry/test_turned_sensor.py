@@ -73,7 +73,7 @@ def test_the_angle_is_taken_out_where_the_track_rolls() -> None:
     taken_out, as_it_is = shift(None), shift(1e-6)
     assert as_it_is.min() > 0.007
     assert (taken_out < 0.3 * as_it_is).all(), "two minutes outweigh most of what is known beforehand"
-    assert (shift(0.1) < 0.1 * as_it_is).all(), "nothing known beforehand"
+    assert (shift(0.1) < 0.2 * as_it_is).all(), "nothing known beforehand"
 
 
 def test_what_is_not_known_of_the_angle_is_in_the_interval() -> None:
