@@ -14,6 +14,7 @@ from api.schemas.windows import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
 from estimation.values.arrays import FloatArray
+from estimation.values.error_parts import CommonTo, ErrorSource
 from estimation.values.geometry import (
     COMBINATIONS,
     LEFT_OUT,
@@ -60,6 +61,14 @@ class ConicityAtAmplitude(Representation):
     equivalent_conicity_1: Uncertain = Field(description="Equivalent conicity at this amplitude.")
 
 
+class ErrorPart(Representation):
+    """A part of the error of the conicity, which several numbers have in common: their differences are without it."""
+
+    source: ErrorSource = Field(description="Where it comes from.")
+    common_to: CommonTo = Field(description="The numbers that err alike by it.")
+    change_1: float = Field(description="Change of the conicity per standard deviation; parts add up as squares.")
+
+
 class ConicityCentre(Derived, of=Centre):
     """The point a conicity is about; in EN 15302 it is the one about equal rolling radii."""
 
@@ -78,7 +87,7 @@ class Provenance(Derived, of=GeometryRecord, without=_NOT_MADE_FROM):
 
 _AS_BINS = (
     *("bin_edges", "samples", "rolling_radius_sum", "rolling_radius_difference", "contact_angle_sum"),
-    *("contact_angle_difference", "amplitude", "conicity", "parameter_key"),
+    *("contact_angle_difference", "amplitude", "conicity", "parameter_key", "error_sources", "error_effects"),
 )
 
 
@@ -105,6 +114,9 @@ class Geometry(Derived, of=WheelsetGeometry, without=_AS_BINS):
     )
     conicity_by_amplitude: list[ConicityAtAmplitude] = Field(
         description="Equivalent conicity at each amplitude (EN 15302)."
+    )
+    error_parts: list[ErrorPart] = Field(
+        description="What the error of `equivalent_conicity_1` is made of; empty without a conicity."
     )
     bins: Bins = Field(description="The bin table.")
     provenance: Provenance | None = Field(description="What it was made from; null without a geometry.")
@@ -168,9 +180,22 @@ def _geometry(serial: str, baseline: int, estimate: WheelsetGeometry, without: W
             ConicityAtAmplitude(amplitude_mm=float(amplitude) * IN_MM, equivalent_conicity_1=uncertain(conicity))
             for amplitude, conicity in zip(estimate.amplitude, estimate.conicity, strict=True)
         ],
+        error_parts=_error_parts(estimate),
         bins=bin_table(estimate),
         links={"self": f"{path}/geometry", "wheelset": path, "trend": f"{path}/trend", "windows": f"{path}/windows"},
     )
+
+
+def _error_parts(estimate: WheelsetGeometry) -> list[ErrorPart]:
+    if estimate.equivalent_conicity.value is None or not estimate.error_sources:
+        return []
+    place = int(np.argmin(np.abs(estimate.amplitude - estimate.reported_amplitude)))
+    effects = zip(estimate.error_sources, estimate.error_effects[:, place], strict=True)
+    return [
+        ErrorPart(source=source, common_to=source.common_to, change_1=float(change))
+        for source, change in effects
+        if np.isfinite(change)
+    ]
 
 
 def _left_out(record: GeometryRecord) -> dict[str, int] | None:
