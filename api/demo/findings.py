@@ -61,7 +61,13 @@ def lines(service: ServiceAddress, truth: Path, fleet: str) -> list[WheelsetLine
     """Ask the REST API for the worklist of a fleet; the most urgent first."""
     true = true_campaigns(truth)
     rows = _wheelsets(service, fleet, sort="urgency")
-    return [_line(row["serial"], row["state"], true[row["serial"]]) for row in rows]
+    return [_line(row["serial"], row["state"], true[row["serial"]], _estimated_km(service, row)) for row in rows]
+
+
+def _estimated_km(service: ServiceAddress, row: dict[str, Any]) -> float | None:
+    """Return the mileage that a conicity is of: that of its data, which may be old, as those of a dead sensor are."""
+    geometry = get(service, _path("wheelsets", row["serial"], "geometry"))
+    return None if geometry is None else geometry["mileage_km"]
 
 
 def _wheelsets(service: ServiceAddress, fleet: str, **query: str) -> list[dict[str, Any]]:
@@ -86,13 +92,15 @@ def _path(*parts: str) -> str:
     return "/".join(["/v1", *(urllib.parse.quote(part, safe="") for part in parts)])
 
 
-def _line(serial: str, state: dict[str, Any], campaigns: list[dict[str, Any]]) -> WheelsetLine:
+def _line(
+    serial: str, state: dict[str, Any], campaigns: list[dict[str, Any]], estimated_km: float | None
+) -> WheelsetLine:
     conicity = state["conicity_1"]
     low, high = conicity["interval_95"] or (None, None)
     return WheelsetLine(
         serial=serial,
-        mileage_km=state["mileage_km"],
-        true=None if low is None else _true(campaigns, state["mileage_km"]),
+        mileage_km=estimated_km,
+        true=None if low is None or estimated_km is None else _true(campaigns, estimated_km),
         value=conicity["value"],
         low=low,
         high=high,
@@ -108,8 +116,11 @@ def _standing(alert: dict[str, Any]) -> str:
 
 
 def _true(campaigns: list[dict[str, Any]], mileage_km: float) -> float:
-    seen = min(campaigns, key=lambda c: abs(c["mileage_km"] - mileage_km))
-    return float(np.interp(AMPLITUDE_MM, seen["amplitude_mm"], seen["equivalent_conicity"]))
+    """Return the true conicity of the profile that was there at a mileage, between the campaigns before and after."""
+    nearest = min(campaigns, key=lambda c: abs(c["mileage_km"] - mileage_km))
+    of_profile = [c for c in campaigns if c["reprofilings"] == nearest["reprofilings"]]
+    conicity = [np.interp(AMPLITUDE_MM, c["amplitude_mm"], c["equivalent_conicity"]) for c in of_profile]
+    return float(np.interp(mileage_km, [c["mileage_km"] for c in of_profile], conicity))
 
 
 def _slope(slope: dict[str, Any]) -> str:
@@ -126,7 +137,7 @@ def _distance(forecast: dict[str, Any]) -> str:
     return f"{p50} [{p10}, {p90}]" if forecast["p10"] is not None else "beyond the horizon"
 
 
-ESTIMATE = ("km since new", "true", "conicity at 3 mm [95 %]", "covers")
+ESTIMATE = ("of km since new", "true", "conicity at 3 mm [95 %]", "covers")
 OUTLOOK = ("slope per 1,000 km [95 %]", r"km to the limit \[p10, p90]")
 ALERTS = ("open alerts",)
 TITLE = "Wheel-rail wear of the fleet, from the REST API; the most urgent first"
