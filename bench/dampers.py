@@ -20,7 +20,7 @@ import numpy as np
 
 from bench.adhesion_fleet import class_of, simulate
 from bench.report import BenchRow, Part, ResultTable, row_table
-from bench.scores import Compared
+from bench.scores import Cluster
 from bench.study import Case, Key, Study
 from estimation.adhesion.creep_forces import gear_segments
 from estimation.dampers.damper import DamperParameters, gear_damper, window_damper
@@ -241,6 +241,17 @@ def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]
             yield {"row": row, "seed": seed, "share": share, "gears": [asdict(one) for one in scores(row, seed, share)]}
 
 
+def _published(case: Case) -> Cluster:
+    """Return the shares of the running gears of a vehicle with good input, which share what it is off its class."""
+    good = [gear for gear in case["gears"] if not gear["bad"]]
+    numbers = [
+        (one["value"] - one["share"], 0.5 * (one["high"] - one["low"]), one["low"] <= one["share"] <= one["high"])
+        for one in good
+        if one["value"] is not None
+    ]
+    return Cluster.read(numbers, [one["reason"] for one in good if one["value"] is None])
+
+
 main = Study(
     name="dampers",
     title="Lateral dampers",
@@ -248,15 +259,7 @@ main = Study(
     cases=_cases,
     parts=lambda cases: parts([gear for case in cases for gear in case["gears"]]),
     line=lambda case: f"{case['row']}, seed {case['seed']}, share {case['share']}: done",
-    published=lambda case: [
-        Compared(
-            gear["value"] - case["share"],
-            0.5 * (gear["high"] - gear["low"]),
-            gear["low"] <= case["share"] <= gear["high"],
-        )
-        for gear in case["gears"]
-        if gear["value"] is not None
-    ],
+    published=_published,
     rows=ROWS,
     separator=";",
     seeds="0-4",

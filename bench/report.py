@@ -186,8 +186,3 @@ def _processor() -> str:
         return platform.machine()
     names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     return next(names, platform.machine())
-
-
-def share_of(part: int, whole: int) -> str:
-    """Return a share in words; empty where there is nothing."""
-    return f"{part / whole:.1%} of {whole}".replace("%", " %") if whole else ""
