@@ -9,7 +9,7 @@ import { keepQuery } from "./router.js";
 import { empty } from "./states.js";
 import { saveButton } from "./table_file.js";
 
-const NEWEST = 500;
+const NEWEST = 500, DAY_S = 86400;
 const TONES = { covered: "good", not_covered: "warning" };
 
 export async function accuracy({ query, signal, title }) {
@@ -71,13 +71,13 @@ function shares(name, lines) {
   if (lines.length === 0) return el("p", { class: "absent" }, `${name}: nothing was compared.`);
   return el(
     "table", { class: "plain" },
-    el("thead", {}, el("tr", {}, [name, "Covered", "z rms", "Mean z", "Independent, covered", "z rms", "Mean z"].map((text) => el("th", { scope: "col" }, text)))),
+    el("thead", {}, el("tr", {}, [name, "Covered", "z: rms, mean", "Independent, covered", "z: rms, mean"].map((text) => el("th", { scope: "col" }, text)))),
     el("tbody", {}, lines.map(([key, one]) => el("tr", {}, el("td", {}, key), held(one.everything), held(one.independent)))),
   );
 }
 
 const decimal = (value, signed) => (value === null ? "" : `${signed && value > 0 ? "+" : ""}${number(value, 2)}`);
-const held = (one) => [el("td", {}, share(one)), el("td", {}, decimal(one.z_rms_1)), el("td", {}, decimal(one.mean_z_1, true))];
+const held = (one) => [el("td", {}, share(one)), el("td", {}, one.z_rms_1 === null ? "" : `${decimal(one.z_rms_1)}, ${decimal(one.mean_z_1, true)}`)];
 
 /** z of every measurement over its date: about 95 of 100 are within 1.96, and none of them drifts. */
 function monitor(found) {
@@ -91,8 +91,8 @@ function monitor(found) {
   const series = [points(true, "covered", "estimate"), points(false, "not covered", "limit")].filter((one) => one.x.length);
   const far = Math.max(3, ...compared.map((row) => 1.1 * Math.abs(row.z_1)));
   return panel("z over time", "", chart({
-    label: "Estimate less measurement, over the standard deviation of both", height: 200, x: { time: true }, y: { label: "z", range: [-far, far], digits: 1 },
-    series, marks: [1.96, 0, -1.96].map((y) => ({ y, label: String(y), role: "design" })),
+    label: "Estimate less measurement, over the standard deviation of both", height: 200, x: { time: true, range: [at.get(compared[0]) - DAY_S, at.get(compared.at(-1)) + DAY_S] }, y: { label: "z", range: [-far, far], digits: 1 },
+    series, marks: [1.96, 0, -1.96].map((y) => ({ y, label: y ? number(y, 2) : "", role: "design" })),
   }));
 }
 
