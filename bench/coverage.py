@@ -33,9 +33,9 @@ class Verdict(StrEnum):
         return cls.OPEN if cls.OPEN in verdicts else cls.YES
 
 
-def verdict_of(met: bool) -> Verdict:  # noqa: FBT001 - the cell of a column
-    """Return the verdict of what is decided."""
-    return Verdict.YES if met else Verdict.NO
+def verdict_of(met: bool | Verdict) -> Verdict:  # noqa: FBT001 - the cell of a column
+    """Return the verdict of what is decided; a verdict stays."""
+    return met if isinstance(met, Verdict) else Verdict.YES if met else Verdict.NO
 
 
 @dataclass(frozen=True, slots=True)
