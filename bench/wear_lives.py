@@ -23,7 +23,8 @@ WHEELSET_SPREAD, TAILS = 0.12, 3.0  # of logarithms; degrees of freedom
 LEAVING, LEFT_SPREAD = 0.05, 0.7  # share of the wheelsets that wear on their own, and how far
 CHANGE, CHANGE_SPREAD = 0.3, 0.5  # chance that the rate changes some day, where laws are mixed
 STARTS, START_SPREAD = (0.05, 0.15), 0.01
-SPANS = (3e4, 2e5)  # km
+SPANS = (4.5e3, 2e5)  # km, alike on a logarithmic scale: of some wheelsets little is known but their fleet
+CURVED_KM, RUN_IN_KM = (5e4, 4e5), (5e3, 3e4)  # within which wear saturates or accelerates; and runs in
 OUTLIERS = (0.05, 5.0, 20.0)  # share, smallest and largest in stds
 SEASON = (0.004, 0.012)
 NODES = 4001  # of the way to the horizon
@@ -99,7 +100,9 @@ class Railway:
 
 ALIKE, MIXED = Railway(), Railway(mixed=True)
 OF_LAWS: Mapping[str, Railway] = {
-    law: Railway(law=law, lines=3, noise=(0.003, 0.012), constant_std=0.0, scale_std=0.0, ahead=(0.1, 1.2))
+    law: Railway(
+        law=law, lines=3, spans=(3e4, 2e5), noise=(0.003, 0.012), constant_std=0.0, scale_std=0.0, ahead=(0.1, 1.2)
+    )
     for law in LAWS
 }
 DEMO = Railway(
@@ -132,14 +135,14 @@ def lives(railway: Railway, seed: int) -> list[Life]:
 def _fleet(railway: Railway, names: tuple[str, str], rate: float, scale: float, rng: np.random.Generator) -> list[Life]:
     law, start = railway.law or str(rng.choice(LAWS)), float(rng.uniform(*STARTS))
     turning = float(rng.uniform(0.15, 0.4))  # mean growth up to the limit
-    wear_km = float(rng.uniform(*railway.spans)) * rng.uniform(1.0, 4.0)  # of curved laws
+    wear_km = float(rng.uniform(*CURVED_KM))
     found = []
     for _, position in product(range(railway.vehicles), range(len(POSITIONS))):
         own = str(rng.choice(LAWS)) if railway.mixed else law
         spread = WHEELSET_SPREAD * rng.standard_t(TAILS)
         spread += LEFT_SPREAD * rng.standard_normal() * (rng.random() < LEAVING)
         own_rate = rate * POSITIONS[position] * float(np.exp(np.clip(spread, -2.0, 2.0)))
-        span = float(rng.uniform(*railway.spans))
+        span = _span(railway, rng)
         level = _curve(own, start + START_SPREAD * rng.standard_normal(), own_rate, span, wear_km, rng)
         if railway.mixed and rng.random() < CHANGE:
             level = _changed(level, span * rng.uniform(0.2, 2.0), float(np.exp(CHANGE_SPREAD * rng.standard_normal())))
@@ -147,10 +150,15 @@ def _fleet(railway: Railway, names: tuple[str, str], rate: float, scale: float, 
     return found
 
 
+def _span(railway: Railway, rng: np.random.Generator) -> float:
+    low, high = railway.spans
+    return float(low * (high / low) ** rng.uniform())
+
+
 def _curve(law: str, start: float, rate: float, span: float, wear_km: float, rng: np.random.Generator) -> Curve:
     """Return the true level by mileage since the last reprofiling."""
     if law == "running-in":
-        first, within = float(rng.uniform(0.02, 0.08)), span * float(rng.uniform(0.08, 0.3))
+        first, within = float(rng.uniform(0.02, 0.08)), float(rng.uniform(*RUN_IN_KM))
         return lambda x: start + first * (1.0 - np.exp(-x / within)) + rate * x
     if law == "knee seen":
         at, factor = span * float(rng.uniform(0.3, 0.7)), float(np.exp(np.clip(0.6 * rng.standard_normal(), -1.2, 1.2)))
