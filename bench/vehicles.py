@@ -32,14 +32,15 @@ CHANGED: Mapping[str, tuple[str, Mapping[str, Any]]] = {  # rows that are others
         {
             "section": {"survey_alignment_std_mm": 0.3, "cross_level": {"std_mm": 2.0}},
             "sensors": {"mounting_error_std_deg": 2.0, "scale_error_std_percent": 1.0},
-            "position": {"offset_m": 0.5},
-            "vehicle_errors": {},
+            "position": {"offset_std_m": 0.5},
+            "creep": {"law": "vermeulen_johnson", "lowest_friction": 0.15, "highest_friction": 0.5},
+            "vehicle_errors": {},  # by what a class has on file where nothing is known better
         },
     ),
     "coach_known_3_h": ("coach_known", {"sessions": {"campaigns": 36, "minutes_each": 5.0}}),
     "coach_unknown_10_passes": ("coach_unknown", {"sessions": {"campaigns": 10}}),
-    "scales_1_percent": (SOFT, {"sensors": {"scale_error_std_percent": 1.0}}),
-    "sensors_5_percent": (SOFT, {"sensors": {"scale_error_std_percent": 5.0}}),
+    "scales_1_percent": (SOFT, {"sensors": {"scale_error_std_percent": 1.0, "stated_scale_std_percent": 0.5}}),
+    "sensors_5_percent": (SOFT, {"sensors": {"scale_error_std_percent": 5.0, "stated_scale_std_percent": 0.0}}),
 }
 ROWS: Mapping[str, Reach | None] = {  # None: nothing may be published
     "paper_known": Reach(p95=0.01),
