@@ -6,7 +6,7 @@ ARGS ?=
 # what one process has compiled serves the others: the tests start many
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all check lint bench bench-estimation bench-world bench-vehicles bench-api bench-page bench-fleet bench-rivals mutants chaos house clean bench-adhesion bench-rails bench-signatures bench-dampers bench-steps bench-limits
+.PHONY: demo test test-all check lint bench bench-estimation bench-world bench-vehicles bench-api bench-page bench-fleet bench-rivals mutants chaos house clean bench-adhesion bench-rails bench-signatures bench-dampers bench-steps bench-limits bench-trend
 
 $(VENV)/.runtime: pyproject.toml constraints.txt
 	@echo "building the virtual environment in $(VENV) (about two minutes)"
@@ -76,6 +76,9 @@ bench-dampers: $(VENV)/.dev
 
 bench-steps: $(VENV)/.dev
 	$(BIN)/python -m bench steps $(ARGS)
+
+bench-trend: $(VENV)/.dev
+	$(BIN)/python -m bench trend $(ARGS)
 
 bench-limits: $(VENV)/.dev
 	$(BIN)/python -m bench limits $(ARGS)

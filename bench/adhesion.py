@@ -30,6 +30,7 @@ from bench.adhesion_rows import (
     with_others,
 )
 from bench.report import BenchRow, Columns, ResultTable, row_table
+from bench.scores import Cluster
 from bench.study import Case, Key, Study
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario_file import load_scenario
@@ -292,6 +293,17 @@ def _line(case: Case) -> str:
     return f"{case['row']} seed {case['seed']}: {found}"
 
 
+def _published(case: Case) -> Cluster:
+    """Return the friction of the places of a case: its fleet shares what is wrong of it."""
+    known = [one for one in case["cells"] if one["value"] is not None]
+    numbers = [
+        (one["value"] - one["mean"], 0.5 * (one["high"] - one["low"]), one["low"] <= one["mean"] <= one["high"])
+        for one in known
+    ]
+    bounded = ["lower bound alone" if one["at_least"] else "" for one in case["cells"] if one["value"] is None]
+    return Cluster.read(numbers, bounded)
+
+
 main = Study(
     name="adhesion",
     title="Creep forces and friction",
@@ -299,6 +311,7 @@ main = Study(
     cases=_cases,
     parts=lambda cases: [row_table(summary(cases)), friction_table(cases)],
     line=_line,
+    published=_published,
     rows=ROWS,
     groups=GROUPS,
 ).run

@@ -8,14 +8,17 @@ widths of their intervals by what is left open of the displacement.
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 
 from api.reproduction import ideal_motion
-from bench.report import BenchRow, row_bench
+from bench.report import Bench, BenchRow, Part, ResultTable, printed, row_table
+from bench.scores import Cluster, Compared, figures_table
 from bench.worn_family import PAIRS, USUAL_CONICITY, wheelsets
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve, refined_curve
@@ -46,11 +49,29 @@ COVERED = 0.92  # share that the 95 % intervals are to hold
 NAMES = {ContactRoll.SEEN: "level track", ContactRoll.HIDDEN: "track that may roll"}
 
 
-def family_rows() -> Iterator[BenchRow]:
-    """Yield a row for level track and one for track that may roll."""
+Family = Mapping[ContactRoll, FloatArray]
+"""Errors and half widths (w, 2, 3, 2) of worn wheelsets: without and with what R says, amplitude, which of both."""
+
+
+def family() -> Family:
+    """Return the errors on level track and on track that may roll."""
     of_all = list(_wheelsets())
-    for roll in ContactRoll:
-        yield _family_row(roll, of_all)
+    found = {roll: [_family_errors(wheelset, roll) for wheelset in of_all] for roll in ContactRoll}
+    return {roll: np.array([one for one in errors if one is not None]) for roll, errors in found.items()}
+
+
+def family_figures(errors: Family) -> ResultTable:
+    """Return the figures of worn wheelsets with what R says, by amplitude; each is a cluster."""
+    groups = [
+        (f"{NAMES[roll]}, {1e3 * amplitude:g} mm", [_number(*one) for one in of_roll[:, 1, place]])
+        for roll, of_roll in errors.items()
+        for place, amplitude in enumerate(FAMILY_AMPLITUDES)
+    ]
+    return figures_table("Worn wheelsets of pairs not used for constants", groups)
+
+
+def _number(error: float, half_width: float) -> Cluster:
+    return Cluster([Compared(float(error), float(half_width), bool(abs(error) <= half_width))])
 
 
 def _wheelsets() -> Iterator[WheelsetOnTrack]:
@@ -59,9 +80,7 @@ def _wheelsets() -> Iterator[WheelsetOnTrack]:
             yield WheelsetOnTrack(left, right, rail, rail, 1.0 / pair.inclination, 1.435)
 
 
-def _family_row(roll: ContactRoll, of_all: list[WheelsetOnTrack]) -> BenchRow:
-    errors = [of_wheelset for wheelset in of_all if (of_wheelset := _family_errors(wheelset, roll)) is not None]
-    error = np.array(errors)  # (w, 2, 3, 2): without and with, amplitude, error and half width
+def _family_row(roll: ContactRoll, error: FloatArray) -> BenchRow:
     rms = np.sqrt(np.mean(error[..., 0] ** 2, axis=0))
     inside = np.mean(np.abs(error[..., 0]) <= error[..., 1], axis=0)
     width = np.median(error[..., 1], axis=0)
@@ -71,7 +90,7 @@ def _family_row(roll: ContactRoll, of_all: list[WheelsetOnTrack]) -> BenchRow:
         for k, name in enumerate(("without what R says", "with it"))
     )
     return BenchRow(
-        f"{len(errors)} worn wheelsets of pairs not used for constants, {NAMES[roll]}, 2 / 2.5 / 3 mm",
+        f"{len(error)} worn wheelsets of pairs not used for constants, {NAMES[roll]}, 2 / 2.5 / 3 mm",
         said,
         "smaller error; intervals hold 92 %",
         bool((rms[1] < rms[0]).all() and (inside[1] >= COVERED).all()),
@@ -172,11 +191,12 @@ def pairs() -> Iterator[Pair]:
         yield Pair(f"wheel {letter} of EN 15302", wheel_profile(f"EN15302-{letter}"), "60E1", 40)
 
 
-def rows() -> Iterator[BenchRow]:
+def rows(errors: Family) -> Iterator[BenchRow]:
     """Yield a row for each pair, those of the worn family, and for each class what it holds off the rolling line."""
     for pair in pairs():
         yield _row(pair, *biases(pair))
-    yield from family_rows()
+    for roll, of_roll in errors.items():
+        yield _family_row(roll, of_roll)
     for code in BOGIES:
         yield _held(shipped_class(code))
 
@@ -267,6 +287,9 @@ def _percent(error: FloatArray, true: FloatArray, *, with_interval: bool) -> str
     return text + (" (half width " + " / ".join(f"{one:.1f}" for one in half) + ")" if with_interval else "")
 
 
-main = row_bench(
-    "en15302", "Conicity of wheelsets in motion against EN 15302", __doc__, lambda _options, _folder: rows()
-).run
+def _parts(_options: argparse.Namespace, _folder: Path) -> list[Part]:
+    errors = family()
+    return [row_table(printed(rows(errors))), family_figures(errors)]
+
+
+main = Bench("en15302", "Conicity of wheelsets in motion against EN 15302", __doc__ or "", _parts).run

@@ -12,7 +12,7 @@ import argparse
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -22,8 +22,8 @@ import numpy as np
 
 from api.comparison.study import TrueWheelset, read_truth
 from api.comparison.trial import ESTIMATION, deploy, opened, receive, record, run_jobs
-from bench.report import share_of
-from bench.scores import Compared, compared, compared_at
+from bench.conicities import Conicities
+from bench.scores import AMPLITUDES, compared, compared_at, withheld_at
 from bench.study import Case, Key, in_processes
 from estimation.accuracy.fleet_accuracy import curve_origin
 from estimation.filters import high_pass, local_cubic_kernel
@@ -141,7 +141,6 @@ def in_band(values: FloatArray, step: float) -> FloatArray:
     return np.fft.irfft(np.where(keep, spectrum, 0.0), n)
 
 
-COVERAGE = (0.92, 0.98)
 SECONDS_PER_HOUR = 3600.0
 
 
@@ -228,7 +227,8 @@ def _window_codes(unit: UnitOfWork, serial: str) -> Counter[str]:
 
 def _wheelset_score(found: WheelsetGeometry, truth: TrueWheelset) -> dict[str, Any]:
     """Return how near a geometry comes: errors of the conicity, and how many intervals cover of how many, by kind."""
-    conicities = compared_at(truth.amplitude, truth.conicity, found.amplitude, found.conicity)
+    true = np.interp(AMPLITUDES, truth.amplitude, truth.conicity)
+    conicities = compared_at(AMPLITUDES, true, found.amplitude, found.conicity)
     published = [one for one in conicities if one is not None]
     given = [one.error for one in published]
     origin = curve_origin(found, truth.displacement, truth.difference, truth.zero_crossing)
@@ -241,7 +241,8 @@ def _wheelset_score(found: WheelsetGeometry, truth: TrueWheelset) -> dict[str, A
         "error": float(np.mean(np.abs(given))) if given else None,  # over the amplitudes estimated
         "signed": float(np.mean(given)) if given else None,
         "asked": len(conicities),
-        "published": published,
+        "compared": conicities,  # by amplitude
+        "withheld": withheld_at(AMPLITUDES, found.amplitude, found.conicity),
         "conicity": _counted([one.covered for one in published]),
         "difference": _counted(_bins(found.rolling_radius_difference, radius_difference)),
         "other_bins": _counted(  # by the criterion of the geometry S and A are not published
@@ -271,55 +272,12 @@ def _covers(estimate: Estimate, truth: float) -> dict[str, int]:
     return _counted([] if found is None else [found.covered])
 
 
-@dataclass(frozen=True, slots=True)
-class Conicities:
-    """Errors of the conicity by wheelset, intervals of it and how many cover, and their half widths."""
-
-    errors: list[float]
-    published: int
-    covered: int
-    widths: list[float]
-
-    @classmethod
-    def of(cls, cases: Sequence[Case]) -> Conicities:
-        """Return those of all cases together."""
-        wheelsets = [item for case in cases for item in case["wheelsets"]]
-        errors = [item["error"] for item in wheelsets if item["error"] is not None]
-        published, covered = (sum(item["conicity"][name] for item in wheelsets) for name in ("published", "covered"))
-        widths = [one[1] for item in wheelsets for one in item["published"]]
-        return cls(errors, published, covered, widths)
-
-    @property
-    def p95(self) -> float:
-        """95th percentile of the errors; NaN without any."""
-        return float(np.percentile(self.errors, 95)) if self.errors else float("nan")
-
-    @property
-    def error(self) -> str:
-        """Median and 95th percentile of the errors in words."""
-        return f"{np.median(self.errors):.4f} / {self.p95:.4f}" if self.errors else "none"
-
-    @property
-    def cover(self) -> str:
-        """Share of the intervals that cover in words."""
-        return share_of(self.covered, self.published)
-
-    @property
-    def width(self) -> str:
-        """Median half width in words."""
-        return f"{np.median(self.widths):.3f}" if self.widths else ""
-
-    def covers(self, highest: float = COVERAGE[1]) -> bool:
-        """Whether the intervals cover as often as they should."""
-        return self.published > 0 and COVERAGE[0] <= self.covered / self.published <= highest
-
-
 def summary_line(case: Case) -> str:
     """Return a case in a line."""
     figures, statuses = Conicities.of([case]), Counter(verdict["status"] for verdict in case["verdicts"])
     codes = sorted({verdict["code"] for verdict in case["verdicts"] if verdict["code"]})
     line = f"{case['row']}{' with parameter errors' if case['drawn'] else ''} seed {case['seed']}, {case['pair']}: "
-    line += f"error {figures.error}, {figures.covered} of {figures.published} cover, {dict(statuses)}, "
+    line += f"error {figures.error}, {figures.cover} of {figures.published} cover, {dict(statuses)}, "
     if case["alignment"] is not None:
         line += f"alignment {1e3 * case['alignment']['band']:.3f} mm, "
     line += f"{', '.join(codes) or 'no reason'}, {case['survey'] or 'no survey'}, "
@@ -338,14 +296,3 @@ def cases_of(
     """Yield what ``work`` returns for each row and seed that is not done."""
     tasks = [(row, seed) for seed in options.seeds for row in rows if (row, seed) not in done]
     yield from in_processes(work, tasks, options.workers)
-
-
-def by_row(cases: Sequence[Case], rows: Sequence[str] | Mapping[str, Any]) -> dict[str, list[Case]]:
-    """Return the cases of each row that was run."""
-    groups = {name: [case for case in cases if case["row"] == name] for name in rows}
-    return {name: of_row for name, of_row in groups.items() if of_row}
-
-
-def published_of(case: Case) -> list[Compared]:
-    """Return the published conicities of a case."""
-    return [one for item in case["wheelsets"] for one in item["published"]]

@@ -14,15 +14,16 @@ from typing import Any
 
 import numpy as np
 
+from bench.coverage import RIGHT, Coverage
 from bench.rails_case import score, score_trend
 from bench.report import COLUMNS, Part, ResultTable
-from bench.scores import AMPLITUDES
+from bench.scores import AMPLITUDES, Cluster
 from bench.study import Case, Key, Study
 from estimation.errors import ScenarioError
 
 KNOWN, THREE, TWO, NONE = "known rails", "three measured wheels", "two measured wheels", "none"
 HOLD = (KNOWN, THREE, TWO)  # the level
-REACH_RAILS, REACH_WHEELS, COVERS = 0.02, 0.01, (0.92, 0.98)
+REACH_RAILS, REACH_WHEELS = 0.02, 0.01
 KINDS = ("exact", "drawn", "trend")
 Results = Mapping[str, Any]
 Error = tuple[float, float, bool]
@@ -92,9 +93,9 @@ def _reached(what: str, cases: Sequence[Any]) -> Rows:
         return [(f"{what}: anything published", "no", "yes", "NO")]
     return [
         _row(f"{what}: reference wheel per section, 95 %", _p95([one[0] for one in rails]), REACH_RAILS),
-        _cover(f"{what}: reference wheel, intervals cover", rails),
+        _cover(f"{what}: reference wheel, intervals cover", [_of_rails([case]) for case in cases]),
         _row(f"{what}: wheelset's mean error, 95 %", _p95(bias), REACH_WHEELS),
-        _cover(f"{what}: wheelsets, intervals cover", wheels),
+        _cover(f"{what}: wheelsets, intervals cover", [_of_wheels([case], "apart") for case in cases]),
     ]
 
 
@@ -102,11 +103,9 @@ def _row(what: str, measured: float, reach: float) -> tuple[str, ...]:
     return what, f"{measured:.4f}", f"{reach:g}", "yes" if measured <= reach else "NO"
 
 
-def _cover(what: str, errors: Sequence[Error]) -> tuple[str, ...]:
-    inside = sum(error[2] for error in errors)
-    share, (low, high) = inside / len(errors), COVERS
-    met = "yes" if low <= share <= high else "wide" if share > high else "NO"
-    return what, f"{inside} of {len(errors)}: {100 * share:.1f} %", f"{100 * low:g}-{100 * high:g} %", met
+def _cover(what: str, fleets: Sequence[Sequence[Error]]) -> tuple[str, ...]:
+    cover, (low, high) = Coverage.of([(len(fleet), sum(error[2] for error in fleet)) for fleet in fleets]), RIGHT
+    return what, str(cover), f"{100 * low:g}-{100 * high:g} %", str(cover.verdict())
 
 
 def _removed(results: Results) -> tuple[str, ...]:
@@ -226,6 +225,14 @@ def _results(cases: Sequence[Case]) -> Results:
     return scores | {"derailed": [(case["row"], case["seed"]) for case in cases if case["derailed"]]}
 
 
+def _published(case: Case) -> Cluster:
+    """Return the conicities of the wheelsets of a fleet, wheel and rail apart, whose level is held."""
+    scored = [one for one in case["scores"] if one.get("anchor") in HOLD]
+    wheelsets = [wheelset for one in scored for wheelset in one["wheelsets"]]
+    numbers = [number for wheelset in wheelsets for number in wheelset["apart"] if number is not None]
+    return Cluster.read(numbers, ["" for one in wheelsets for number in one["apart"] or AMPLITUDES if number is None])
+
+
 main = Study(
     name="rails",
     title="Wheel and rail apart",
@@ -234,11 +241,5 @@ main = Study(
     parts=lambda cases: parts(_results(cases)),
     line=lambda case: f"{case['row']} {case['seed']}: {'derailed' if case['derailed'] else 'done'}",
     rows=KINDS,
-    published=lambda case: [
-        error
-        for scored in case["scores"]
-        for wheelset in scored.get("wheelsets", ())
-        for error in wheelset["apart"]
-        if error is not None
-    ],
+    published=_published,
 ).run

@@ -17,6 +17,7 @@ import numpy as np
 
 from bench.refusals_case import IN_BOGIES, OnFile, drawn_case, judged, simulated
 from bench.report import Part, ResultTable
+from bench.scores import AMPLITUDES, Cluster
 from bench.study import Case, Key, Study
 from estimation.errors import TreadwatchError
 from estimation.geometry.model_fit import ROLLING
@@ -228,6 +229,13 @@ def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]
             yield {"seed": seed, "wheelsets": run_seed(seed, CAMPAIGNS, WRONG_EVERY)}
 
 
+def _published(case: Case) -> Cluster:
+    """Return the conicities of the right wheelsets of a seed, which share a track."""
+    right = [item for item in case["wheelsets"] if item["kind"] == RIGHT]
+    numbers = [number for item in right for number in item["found"]]
+    return Cluster.read(numbers, [item["code"] for item in right if not item["published"] for _ in AMPLITUDES])
+
+
 def _line(case: Case) -> str:
     said = [f"{one['kind']}: {one['code'] or 'good'}" for one in case["wheelsets"] if one["kind"] != SKIPPED]
     drawn = case["wheelsets"][0]["drawn"].values()
@@ -246,7 +254,7 @@ main = Study(
     cases=_cases,
     parts=lambda cases: parts([one for case in cases for one in case["wheelsets"]]),
     line=_line,
-    published=lambda case: [one for item in case["wheelsets"] if item["kind"] == RIGHT for one in item["found"]],
+    published=_published,
     seeds="0-29",
     key=("seed",),
     command=_command,

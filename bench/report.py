@@ -15,11 +15,11 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from bench.coverage import Verdict, verdict_of
+
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 LIBRARIES = ("numpy", "scipy")
 COLUMNS = ("what", "measured", "reach", "met")
-SHORT = "NO"
-"""In the column "met" of a row that falls short."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,12 +29,12 @@ class BenchRow:
     what: str
     measured: str
     reach: str
-    met: bool
+    met: bool | Verdict
 
     @property
     def cells(self) -> tuple[str, str, str, str]:
         """As text, for a table of the columns ``COLUMNS``."""
-        return self.what, self.measured, self.reach, yes_or_no(self.met)
+        return self.what, self.measured, self.reach, verdict_of(self.met)
 
 
 Columns = Mapping[str, Callable[..., str]]
@@ -61,7 +61,7 @@ class ResultTable:
     @property
     def met(self) -> bool:
         """Whether no row falls short, where the table has a column "met"."""
-        return "met" not in self.header or all(row[self.header.index("met")] != SHORT for row in self.rows)
+        return "met" not in self.header or all(row[self.header.index("met")] != Verdict.NO for row in self.rows)
 
     def terminal(self) -> Table:
         """Return the table for a terminal."""
@@ -81,11 +81,6 @@ class ResultTable:
 
 Part = str | ResultTable
 """A paragraph, which the page alone has, or a table."""
-
-
-def yes_or_no(met: bool) -> str:  # noqa: FBT001 - the cell of a column
-    """Return the cell of the column "met"."""
-    return "yes" if met else SHORT
 
 
 def row_table(rows: Iterable[BenchRow]) -> ResultTable:
@@ -186,8 +181,3 @@ def _processor() -> str:
         return platform.machine()
     names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     return next(names, platform.machine())
-
-
-def share_of(part: int, whole: int) -> str:
-    """Return a share in words; empty where there is nothing."""
-    return f"{part / whole:.1%} of {whole}".replace("%", " %") if whole else ""

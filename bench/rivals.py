@@ -20,7 +20,7 @@ import numpy as np
 from api.comparison.study import TrackInformation, TrueWheelset, on_file, read_truth
 from api.comparison.trial import ESTIMATION, deploy, opened, parameters_of, receive, record, replayed, run_jobs
 from bench.report import BenchRow, Part, ResultTable, row_table
-from bench.scores import compared_at
+from bench.scores import Cluster, Compared, compared_at, figures_table
 from bench.study import Case, Key, Study, one_of
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.profiles import wheel_profile
@@ -53,10 +53,12 @@ class RivalScore:
     track: str
     estimator: str
     serial: str
-    errors: tuple[float | None, ...]  # by amplitude of the truth, against the profiles
+    compared: tuple[Compared | None, ...]  # by amplitude of the truth, against the profiles
+    errors: tuple[float | None, ...]  # of these
     errors_as_run: tuple[float | None, ...]  # the same against the table that the simulator ran on
-    covered: tuple[bool, ...]  # of the estimated ones, by the published interval
-    own_covered: tuple[bool, ...]  # of those, by the covariance that the estimator states; empty without one
+    own_covered: tuple[
+        bool, ...
+    ]  # of the estimated ones, by the covariance that the estimator states; empty without one
     reason: str  # code why there is nothing; empty where there is something
     cpu_s: float
     running_s: float  # of valid samples
@@ -157,12 +159,11 @@ def _score(
     errors = tuple(None if one is None else one.error for one in scored)
     shift = truth.conicity - ran
     errors_as_run = tuple(None if one is None else one + float(off) for one, off in zip(errors, shift, strict=True))
-    covered = tuple(one.covered for one, _ in given)
     own_covered = tuple(abs(one.error) <= NORMAL_95 * own for one, own in given if np.isfinite(own))
     reason = "" if found.reason is None else str(found.reason.code)
     family, seed, track, name = of
     return RivalScore(
-        family, seed, track, name, truth.serial, errors, errors_as_run, covered, own_covered, reason, *cost,
+        family, seed, track, name, truth.serial, tuple(scored), errors, errors_as_run, own_covered, reason, *cost,
     )  # fmt: skip
 
 
@@ -213,7 +214,7 @@ def _wheel(steepness: float) -> str:
 
 HEADER = (
     "wheels", "track", "estimator", "wheelsets with a conicity", "error, median", "error, 95th percentile",
-    "published intervals cover", "own covariance covers", "real-time factor", "state, kB",
+    "own covariance covers", "real-time factor", "state, kB",
 )  # fmt: skip
 NEAR = 3  # amplitudes 1.0, 1.25 and 1.5 mm come first
 REACH_NEAR, REACH_SPEED, FOLLOWS = 0.01, 1000.0, 0.01
@@ -252,8 +253,7 @@ def table_rows(found: Sequence[Case]) -> list[tuple[str, ...]]:
         quantiles = [f"{np.quantile(errors, level):.4f}" if len(errors) else "" for level in (0.5, 0.95)]
         speed = sum(one["running_s"] for one in of) / max(sum(one["cpu_s"] for one in of), 1e-9)
         size = f"{np.median([one['state_bytes'] for one in of]) / 1e3:.0f}"
-        covers = (_share(of, "covered"), _share(of, "own_covered"))
-        rows.append((family, track, estimator, shown, *quantiles, *covers, f"{speed:.0f}", size))
+        rows.append((family, track, estimator, shown, *quantiles, _share(of, "own_covered"), f"{speed:.0f}", size))
     return rows
 
 
@@ -316,11 +316,26 @@ def parts(found: Sequence[Case]) -> list[Part]:
     near = ("track", "estimator", "profiles, median", "95th percentile", "as run, median", "95th percentile")
     return [
         f"Seeds: {listed}. Errors are of the equivalent conicity at 1.0 to 3.0 mm, against the profiles.",
-        ResultTable(HEADER, table_rows(found), range(4, 10)),
+        ResultTable(HEADER, table_rows(found), range(4, 9)),
+        figures_table("Published numbers against the truth", _clusters(found)),
         NEAR_TEXT.format(1e3 * STEP, floor(found)),
         ResultTable(near, near_rows(found), range(2, 6)),
         row_table(bench_rows(found)),
     ]
+
+
+def _clusters(found: Sequence[Case]) -> Iterator[tuple[str, list[Cluster]]]:
+    """Yield the numbers of each row of the table by fleet."""
+    for family, track, estimator in dict.fromkeys((one["family"], one["track"], one["estimator"]) for one in found):
+        of = _chosen(found, family=family, track=track, estimator=estimator)
+        fleets = [[one for one in of if one["seed"] == seed] for seed in dict.fromkeys(one["seed"] for one in of)]
+        yield f"{family}, {track}, {estimator}", [_cluster(fleet) for fleet in fleets]
+
+
+def _cluster(fleet: Sequence[Case]) -> Cluster:
+    numbers = [number for one in fleet for number in one["compared"]]
+    withheld = [one["reason"] for one in fleet for number in one["compared"] if number is None]
+    return Cluster.read([number for number in numbers if number is not None], withheld)
 
 
 def _cases(options: argparse.Namespace, done: Collection[Key]) -> Iterator[Case]:

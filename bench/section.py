@@ -16,27 +16,32 @@ from pathlib import Path
 import numpy as np
 
 from api.comparison.trial import recording_key
-from bench.fleet_case import COVERAGE, fleet_options, published_of, scored, summary_line
-from bench.report import Columns, ResultTable, yes_or_no
+from bench.conicities import Reach, amplitude_tables, published_of
+from bench.coverage import RIGHT, Coverage, Verdict, verdict_of
+from bench.fleet_case import fleet_options, scored, summary_line
+from bench.report import Columns, ResultTable
 from bench.study import Case, Key, Study, in_processes
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario import Scenario, VehicleErrors
 from ingest.simulator.scenario_file import builtin_scenarios, load_scenario
 
-LIMITS: Mapping[str, float | None] = {  # 95th percentile of the conicity error; None: nothing may be estimated
-    "known": 0.01,
-    "unknown": 0.02,
-    "unknown_position": 0.025,
-    "gauge_1mm_unknown": 0.03,
-    "gauge_2mm_known": 0.03,
-    "gauge_2mm_unknown": 0.05,
+LIMITS: Mapping[str, Reach | None] = {  # None: nothing may be estimated
+    "known": Reach(p95=0.01),
+    "unknown": Reach(p95=0.02),
+    "unknown_position": Reach(p95=0.025),
+    "gauge_1mm_unknown": Reach(p95=0.03),
+    "gauge_2mm_known": Reach(p95=0.03),
+    "gauge_2mm_unknown": Reach(p95=0.05),
     "no_information": None,
 }
+AT: Mapping[str, Sequence[Reach]] = {"gauge_1mm_unknown": (Reach(p95=0.010, half=0.015, at=3e-3),)}
+"""What is asked at one amplitude."""
+
 OTHERS = tuple(sorted(set(builtin_scenarios()) - set(LIMITS)))  # run where they are named
 NO_INFORMATION = "no_information"
 VARIANTS = {"both": (False, True), "none": (False,), "only": (True,)}
 ALIGNMENT = 0.06e-3  # m SD, constant gauge
-LEAST_INTERVALS = 100  # before a share of them is judged
+ANY = Reach()  # of another row: nothing but that its intervals cover
 KINDS = ("conicity", "difference", "other_bins", "nonlinearity", "zero_crossing")  # of what a wheelset publishes
 SHORT: Mapping[str, str] = {
     "conicity": "conicity",
@@ -98,7 +103,8 @@ class RowSummary:
     median: float
     p95: float
     bias: float  # mean signed error
-    coverage: Mapping[str, tuple[int, int]]  # kind -> (published, covered)
+    coverage: Mapping[str, Sequence[tuple[int, int]]]  # kind -> (published, covered) of each fleet
+    reached: Verdict  # of error, half width and coverage of the conicity
     given: float  # share of the amplitudes
     alignment: float  # m SD in the band, median over seeds; NaN where it was known
     alignment_filtered: float  # m SD, as published
@@ -107,27 +113,18 @@ class RowSummary:
     seconds: float  # median, passes to geometry
 
     @property
-    def met(self) -> bool:
-        """Whether the error, how often intervals of conicity cover, and an alignment that is asked for are reached."""
-        limit = LIMITS.get(self.row, math.inf)  # nothing was asked of another row's error
-        if limit is None:
-            return self.false_estimated == 0
-        published, covered = self.coverage["conicity"]
-        covers = published > 0 and COVERAGE[0] <= covered / published <= COVERAGE[1]
+    def met(self) -> Verdict:
+        """Whether what is asked of the conicity, and an alignment that is asked for, are reached."""
+        if LIMITS.get(self.row, ANY) is None:
+            return verdict_of(self.false_estimated == 0)
         aligned = self.row not in {"unknown", "unknown_position"} or self.alignment <= ALIGNMENT
-        return self.p95 <= limit and covers and aligned
+        return Verdict.all([self.reached, verdict_of(aligned)])
 
     @property
     def outside(self) -> tuple[str, ...]:
-        """Kinds of ``LEAST_INTERVALS`` or more intervals that cover less or more often than in ``COVERAGE``."""
-        shares = {
-            SHORT[kind]: covered / published
-            for kind, (published, covered) in self.coverage.items()
-            if published >= LEAST_INTERVALS
-        }
-        return tuple(
-            f"{name} {100 * share:.1f} %" for name, share in shares.items() if not COVERAGE[0] <= share <= COVERAGE[1]
-        )
+        """Kinds of which it is decided that their intervals cover less or more often than they should."""
+        covers = {SHORT[kind]: Coverage.of(of_fleets) for kind, of_fleets in self.coverage.items()}
+        return tuple(f"{name} {100 * one.share:.1f} %" for name, one in covers.items() if one.verdict() is Verdict.NO)
 
 
 def summaries(cases: Sequence[Case]) -> list[RowSummary]:
@@ -145,13 +142,10 @@ def _summary(row: str, drawn: bool, cases: Sequence[Case]) -> RowSummary:  # noq
     wheelsets = [item for case in cases for item in case["wheelsets"]]
     errors = [item["error"] for item in wheelsets if item["error"] is not None]
     signed = [item["signed"] for item in wheelsets if item["signed"] is not None]
-    coverage = {
-        kind: (sum(item[kind]["published"] for item in wheelsets), sum(item[kind]["covered"] for item in wheelsets))
-        for kind in KINDS
-    }
+    coverage = {kind: [_counted([item[kind] for item in case["wheelsets"]]) for case in cases] for kind in KINDS}
     aligned = [case["alignment"] for case in cases if case["alignment"] is not None]
-    coverage["alignment"] = (sum(a["published"] for a in aligned), sum(a["covered"] for a in aligned))
-    coverage["gauge"] = (sum(a["gauge_published"] for a in aligned), sum(a["gauge_covered"] for a in aligned))
+    coverage["alignment"] = [(one["published"], one["covered"]) for one in aligned]
+    coverage["gauge"] = [(one["gauge_published"], one["gauge_covered"]) for one in aligned]
     asked = sum(item["asked"] for item in wheelsets)
     estimated = len(errors) + sum(case["status"] == "estimated" for case in cases)
     return RowSummary(
@@ -162,13 +156,18 @@ def _summary(row: str, drawn: bool, cases: Sequence[Case]) -> RowSummary:  # noq
         p95=float(np.quantile(errors, 0.95)) if errors else math.nan,
         bias=float(np.mean(signed)) if signed else math.nan,
         coverage=coverage,
-        given=coverage["conicity"][0] / asked if asked else 0.0,
+        reached=(LIMITS.get(row) or ANY).verdict(cases),
+        given=sum(published for published, _ in coverage["conicity"]) / asked if asked else 0.0,
         alignment=_median([a["band"] for a in aligned]),
         alignment_filtered=_median([a["filtered"] for a in aligned]),
         gauge=_median([a["gauge"] for a in aligned if a["gauge"]]),
-        false_estimated=estimated if LIMITS.get(row, 1.0) is None else 0,
+        false_estimated=estimated if LIMITS.get(row, ANY) is None else 0,
         seconds=_median([sum(case["cpu_s"]) for case in cases]),
     )
+
+
+def _counted(counts: Sequence[Mapping[str, int]]) -> tuple[int, int]:
+    return sum(one["published"] for one in counts), sum(one["covered"] for one in counts)
 
 
 def _median(values: Sequence[float]) -> float:
@@ -176,17 +175,13 @@ def _median(values: Sequence[float]) -> float:
 
 
 def _reach(item: RowSummary) -> str:
-    limit = LIMITS.get(item.row, math.inf)
-    if limit is None:
-        return f"none estimated: {item.false_estimated}"
-    return f"{limit:g}" if math.isfinite(limit) else "-"
+    limit = LIMITS.get(item.row, ANY)
+    return f"none estimated: {item.false_estimated}" if limit is None else str(limit) or "-"
 
 
-def _share(count: tuple[int, int]) -> str:
-    published, covered = count
-    if published < LEAST_INTERVALS:
-        return f"{covered}/{published}" if published else "-"
-    return f"{100 * covered / published:.1f} % ({published})"
+def _share(of_fleets: Sequence[tuple[int, int]]) -> str:
+    published, covered = (sum(column) for column in zip((0, 0), *of_fleets, strict=True))
+    return f"{100 * covered / published:.1f} % ({published})" if published else "-"
 
 
 def _number(value: float, digits: int) -> str:
@@ -207,14 +202,15 @@ COLUMNS: Columns = {
     ),
     "gauge": lambda item: f"{_number(1e3 * item.gauge, 2)} mm",
     "s": lambda item: f"{item.seconds:.0f}",
-    "met": lambda item: yes_or_no(item.met),
-    f"outside {100 * COVERAGE[0]:.0f}-{100 * COVERAGE[1]:.0f} %": lambda item: ", ".join(item.outside) or "-",
+    "met": lambda item: str(item.met),
+    f"outside {100 * RIGHT[0]:.0f}-{100 * RIGHT[1]:.0f} %": lambda item: ", ".join(item.outside) or "-",
 }
 
 
 def tables(cases: Sequence[Case]) -> list[ResultTable]:
-    """Return the accuracy table."""
-    return [ResultTable.of(COLUMNS, [(item,) for item in summaries(cases)], range(1, 7), TITLE)]
+    """Return the accuracy table, and what is asked at one amplitude."""
+    table = ResultTable.of(COLUMNS, [(item,) for item in summaries(cases)], range(1, 7), TITLE)
+    return [table, *amplitude_tables(cases, AT)]
 
 
 def _options(parser: argparse.ArgumentParser) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from api.comparison import trial
 from api.comparison.study import read_truth
+from bench.scores import code_of
 from bench.signature_cases import SimulatedFleet, entries, tracks, wheelset, window_of, window_parameters
 from estimation.jobs import refresh_signatures
 from estimation.signatures.answer import judged
@@ -49,10 +50,10 @@ def judged_by_the_product(kind: str, seed: int) -> list[dict[str, Any]]:
 def _of(result: Result[SignatureFinding] | None, truth: float) -> dict[str, Any]:
     record = None if result is None else result.value
     if record is None:
-        return {"truth": truth, "reason": "no answer"}
+        return {"truth": truth, "reason": "no answer", "code": "no answer"}
     conicity, apart = record.answer.conicity, record.disagreement
     if conicity.value is None:
-        return {"truth": truth, "reason": str(conicity.reason)}
+        return {"truth": truth, "reason": str(conicity.reason), "code": code_of(conicity)}
     found: dict[str, Any] = {"truth": truth, "value": conicity.value, "low": conicity.low, "high": conicity.high}
     return found | {"disagrees": apart is not None and apart.disagrees}
 

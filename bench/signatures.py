@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.report import BenchRow, row_table, say
+from bench.report import BenchRow, ResultTable, row_table, say
+from bench.scores import Cluster, Figures, code_of, figures_table
 from bench.signature_cases import CONDITIONS, Foreign, LeftTableError, Pass, Simulated, SimulatedFleet, entries
 from bench.signature_fleets import KINDS_FOREIGN, Plan, simulated, trained
 from bench.signature_pipeline import EACH, KINDS, WHEELSETS, cost, judged_by_the_product
@@ -32,14 +33,16 @@ CHOSEN = (0, 1, 2, 3, 4, 5, 6, 7, 9, 10)  # seeds that the limits on roughness a
 ON_FILE = {"measured": "measured profiles (std 0.003)", "estimated": "estimates (std 0.01, half of it in common)"}
 
 
+PLACES = {"same": "unseen wheelsets", "other": "unseen wheelsets on unseen sections", "unplaced": "no position"}
+
+
 def summary(cases: Sequence[Case]) -> Iterator[BenchRow]:
     """Yield the rows."""
-    names = {"same": "unseen wheelsets", "other": "unseen wheelsets on unseen sections", "unplaced": "no position"}
     for kind, on_file in ON_FILE.items():
-        for place, name in names.items():
+        for place, name in PLACES.items():
             yield from rows_of(cases, kind, place, f"{name}, library of {on_file}")
     for place in ("same", "other"):
-        yield _errors(_pooled(cases, "speeds", place), f"other speeds, {names[place]}: conicity")
+        yield _errors(_pooled(cases, "speeds", place), f"other speeds, {PLACES[place]}: conicity")
     for kind in ON_FILE:
         yield _seen_states(cases, kind)
     for rival in cases[0]["rivals"] if cases else ():
@@ -67,10 +70,28 @@ def rows_of(cases: Sequence[Case], kind: str, place: str, name: str) -> Iterator
         reach is None or bool(right >= reach),
     )
     yield _errors(answers, f"{name}: conicity")
-    covered = np.mean([one["low"] <= one["truth"] <= one["high"] for one in known])
-    yield BenchRow(
-        f"{name}: coverage", f"{100 * covered:.1f} % of {len(known)}", "92-98 %", bool(0.92 <= covered <= 0.98)
+    cover = Figures.of(_cluster(_pooled([case], kind, place)) for case in cases).cover
+    yield BenchRow(f"{name}: coverage", f"{cover} of {len(known)}", "92-98 %", cover.verdict())
+
+
+def _figures(cases: Sequence[Case]) -> ResultTable:
+    """Return the figures of the conicities of each kind of library and place."""
+    groups = [(kind, place) for kind in ON_FILE for place in PLACES]
+    named = (
+        (f"{PLACES[place]}, library of {ON_FILE[kind]}", [_cluster(_pooled([case], kind, place)) for case in cases])
+        for kind, place in groups
     )
+    return figures_table("Conicities of answers against the truth", named)
+
+
+def _cluster(answers: Sequence[Case]) -> Cluster:
+    """Return the conicities of the answers of a seed, whose library is one."""
+    numbers = [
+        (one["value"] - one["truth"], 0.5 * (one["high"] - one["low"]), one["low"] <= one["truth"] <= one["high"])
+        for one in answers
+        if "value" in one
+    ]
+    return Cluster.read(numbers, [str(one.get("code", "")) for one in answers if "value" not in one])
 
 
 def _errors(answers: Sequence[Case], what: str) -> BenchRow:
@@ -102,14 +123,14 @@ def _product_rows(cases: Sequence[Case]) -> Iterator[BenchRow]:
         if not known:
             continue
         errors = np.abs([one["value"] - one["truth"] for one in known])
-        covered = float(np.mean([one["low"] <= one["truth"] <= one["high"] for one in known]))
+        cover = Figures.of(_cluster(case["product"][kind]) for case in cases if "product" in case).cover
         text = (
             f"median error {_quantiles(errors)};"
-            f" {100 * covered:.1f} % of {len(known)} covered;"
+            f" {cover} of {len(known)} covered;"
             f" {sum(one['disagrees'] for one in known)} called different from the geometry;"
             f" {len(answers) - len(known)} of {len(answers)} refused"
         )
-        yield BenchRow(f"through the product, taught by geometries: {name}", text, ">= 92 % covered", covered >= 0.92)
+        yield BenchRow(f"through the product, taught by geometries: {name}", text, "92-98 % covered", cover.verdict())
 
 
 def _cost_rows(cases: Sequence[Case]) -> Iterator[BenchRow]:
@@ -246,7 +267,7 @@ def _answers(
         conicity = answer.conicity
         item: dict[str, Any] = {"condition": one.wheelset.condition, "truth": one.wheelset.conicity}
         if conicity.value is None:
-            item["reason"] = str(conicity.reason)
+            item["reason"], item["code"] = str(conicity.reason), code_of(conicity)
             item |= _of_any_track(one, signatures, known, parameters) if "than any that" in item["reason"] else {}
         else:
             state = most_likely(answer.states)
@@ -340,7 +361,7 @@ main = Study(
     title="Library of wear signatures",
     about=__doc__ or "",
     cases=_cases,
-    parts=lambda cases: [_about(cases), row_table(summary(cases))],
+    parts=lambda cases: [_about(cases), row_table(summary(cases)), _figures(cases)],
     line=_line,
     seeds="0-2",
     key=("seed",),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import traceback
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from multiprocessing import get_context
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.report import Part, ResultTable, ended, say
-from bench.scores import Compared, figures_table
+from bench.scores import Cluster, figures_table
 
 Case = Mapping[str, Any]
 Key = tuple[Any, ...]
@@ -40,7 +40,8 @@ class Study:
         key: Names of what tells one case from another.
         command: That writes the page, from all cases.
         page: Its name where it is not that of the study.
-        published: Numbers of a case against the truth, of which the figures are shown by row.
+        published: Numbers of a case against the truth, which share their errors with those of no other case; their
+            figures are shown by row.
     """
 
     name: str
@@ -57,7 +58,7 @@ class Study:
     options: Callable[[argparse.ArgumentParser], None] = _nothing
     command: Callable[[Sequence[Case]], str] | None = None
     page: str = ""
-    published: Callable[[Case], Iterable[Compared]] | None = None
+    published: Callable[[Case], Cluster] | None = None
 
     def run(self, arguments: Sequence[str]) -> int:
         """Run what was asked for; return 1 when a row falls short or a case fails."""
@@ -81,14 +82,13 @@ class Study:
         return int(bool(ended(parts, self.page or self.name, self.title, command) or failed))
 
     def _figures(self, cases: Sequence[Case]) -> Iterator[ResultTable]:
-        """Yield error, z rms, half width, interval score and coverage by what tells cases apart but for the seed."""
+        """Yield the figures of the published numbers by what tells cases apart but for the seed."""
         if self.published is None:
             return
         names = [name for name in self.key if name != "seed"]
-        groups: dict[str, list[Compared]] = {}
+        groups: dict[str, list[Cluster]] = {}
         for case in cases:
-            published = groups.setdefault(", ".join(str(case[name]) for name in names), [])
-            published += [Compared(*one) for one in self.published(case)]
+            groups.setdefault(", ".join(str(case[name]) for name in names), []).append(self.published(case))
         yield figures_table("Published numbers against the truth", groups.items())
 
     def key_of(self, case: Case) -> Key:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.stats import beta
 
 from bench.report import BenchRow, Part, ResultTable, row_table
-from bench.scores import Compared, Figures
+from bench.scores import COLUMNS, Cluster, Compared, Figures
 from bench.study import Case, Key, Study, one_of
 from bench.survey_case import SurveyPlan, moved, on_file, score
 from bench.survey_fleets import COACH, FleetPlan, drawn_fleet
@@ -26,7 +26,7 @@ from estimation.values.arrays import FloatArray
 from estimation.vehicle.vehicle_class import VehicleParameters
 
 HEADER = (
-    *("", "cases", "refused", "doubted", "published", "error", "z rms", "half width", "interval score", "cover"),
+    *("", "cases", "refused", "doubted", *COLUMNS),
     *("alignment error, mm", "stated, mm", "rival: error", "interval score", "cover"),
 )
 REFUSED = 0.005  # share of right surveys
@@ -64,20 +64,20 @@ def summary(cases: Sequence[Case]) -> Iterator[BenchRow]:
     values = figures(understated)
     yield BenchRow(
         "std understated five times: intervals that cover",
-        f"{values.cover:.3f} of {values.count}, as filed {figures(understated, rival=True).cover:.3f}",
+        f"{values.cover} of {values.count}, as filed {figures(understated, rival=True).cover}",
         ">= 92 %",
-        values.count > 0 and values.cover >= COVER_UNDERSTATED,
+        values.count > 0 and values.cover.share >= COVER_UNDERSTATED,
     )
     for positions in ("0 m", "0.5 m", "2 m"):
         at = [case for case in right if case["survey"] == "0.3 mm" and case["positions"] == positions]
         mine, filed = figures(at), figures(at, rival=True)
-        text = f"error {mine.error:.4f}, cover {mine.cover:.3f}; as filed {filed.error:.4f}, {filed.cover:.3f}"
+        text = f"error {mine.error:.4f}, cover {mine.cover}; as filed {filed.error:.4f}, {filed.cover}"
         yield BenchRow(f"positions off by {positions}, survey of 0.3 mm", text, "shown", met=True)
 
 
-def figures_of(published: Sequence[Mapping[str, Any]]) -> Figures:
-    """Return the figures of published conicities."""
-    return Figures.of(Compared(one["error"], one["half_width"], one["covered"]) for one in published)
+def compared_of(published: Sequence[Mapping[str, Any]]) -> list[Compared]:
+    """Return published conicities as they are kept."""
+    return [Compared(one["error"], one["half_width"], one["covered"]) for one in published]
 
 
 def differences(cases: Sequence[Case], surveys: Sequence[str]) -> list[tuple[str, ...]]:
@@ -102,9 +102,15 @@ def most_share(count: int, of: int) -> float:
 
 
 def figures(cases: Sequence[Case], *, rival: bool = False) -> Figures:
-    """Return the figures of all cases together; of the rival where asked for."""
-    scores = [case["rival"] if rival else case for case in cases]
-    return figures_of([one for case in scores if case is not None for one in case["published"]])
+    """Return the figures of all cases together; of the rival where asked for. A fleet and its surveys are a cluster."""
+    clusters: dict[Key, tuple[list[Compared], list[str]]] = {}
+    for case in cases:
+        scored = case["rival"] if rival else case
+        if scored is not None:
+            published, withheld = clusters.setdefault((case["row"], case["seed"]), ([], []))
+            published += compared_of(scored["published"])
+            withheld += [case["code"]] * max(0, case["asked"] - len(scored["published"]))
+    return Figures.of(Cluster(*numbers) for numbers in clusters.values())
 
 
 def rows_of(cases: Sequence[Case], key: str) -> list[tuple[str, ...]]:
@@ -113,17 +119,15 @@ def rows_of(cases: Sequence[Case], key: str) -> list[tuple[str, ...]]:
     for name in dict.fromkeys(case[key] for case in cases):
         members = [case for case in cases if case[key] == name]
         mine, filed = figures(members), figures(members, rival=True)
-        asked = sum(case["asked"] for case in members)
         found.append(
             (
                 name,
                 str(len(members)),
                 str(sum(case["refused"] for case in members)),
                 str(sum(case["code"] == "survey_not_assessable" for case in members)),
-                f"{mine.count} of {asked}",
-                *mine.cells[1:],
+                *mine.cells,
                 *(_millimetres(members, name) for name in ("alignment_error", "alignment_std")),
-                *(filed.cells[place] for place in (1, 4, 5)),  # error, interval score, coverage
+                *(filed.cells[COLUMNS.index(column)] for column in ("error", "interval score", "cover")),
             )
         )
     return found
@@ -137,8 +141,8 @@ def _millimetres(members: Sequence[Case], name: str) -> str:
 
 def _published_as_good(case: Case) -> bool:
     """Whether conicities on a survey that is not refused do not hold the truth."""
-    values = figures_of(case["published"])
-    return not case["refused"] and values.count > 0 and values.cover < COVER_UNDERSTATED
+    held = [one.covered for one in compared_of(case["published"])]
+    return not case["refused"] and bool(held) and float(np.mean(held)) < COVER_UNDERSTATED
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,9 +185,9 @@ def paired(cases: Sequence[Case], others: Mapping[Any, Case], name: str) -> tupl
         own, without = ({one["key"]: one for one in item["published"]} for item in (case, other))
         shared = sorted(own.keys() & without.keys())
         if shared:
-            pairs = [(own[key], without[key]) for key in shared]
-            errors.append(np.array([abs(one["error"]) - abs(none["error"]) for one, none in pairs]))
-            scores.append(np.array([figures_of([one]).score - figures_of([none]).score for one, none in pairs]))
+            pairs = [compared_of([own[key], without[key]]) for key in shared]
+            errors.append(np.array([abs(one.error) - abs(none.error) for one, none in pairs]))
+            scores.append(np.array([one.score - none.score for one, none in pairs]))
     return errors, scores
 
 

@@ -17,8 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.fleet_case import Conicities, by_row, cases_of, fleet_options, published_of, scored, summary_line
-from bench.report import Columns, ResultTable, say, yes_or_no
+from bench.conicities import Conicities, Reach, by_row, published_of
+from bench.coverage import Verdict, verdict_of
+from bench.fleet_case import cases_of, fleet_options, scored, summary_line
+from bench.report import Columns, ResultTable, say
 from bench.scores import AMPLITUDES
 from bench.study import Case, Key, Study
 from bench.wheelset_motion import wheelset_motion
@@ -182,36 +184,42 @@ SCENARIOS = Path(__file__).parent / "world_scenarios"
 SURVEY_RIGHT = "survey_confirmed"
 
 
-@dataclass(frozen=True, slots=True)
-class Reach:
-    """What a row has to reach."""
-
-    p95: float | None = None  # of the conicity error
-    survey: tuple[str, ...] = ()  # verdicts that are right; empty where no survey is on file
-    covers_above: bool = False  # too wide is right as well: the passes hardly say anything
-
-
 WRONG = ("survey_unrelated",)
 ROWS: Mapping[str, Reach] = {
-    "known_alike": Reach(0.015, (SURVEY_RIGHT,)),
-    "known_alike_gauge": Reach(0.02, (SURVEY_RIGHT,)),
-    "known_wide_gauge": Reach(0.02, (SURVEY_RIGHT,)),
-    "known_line_alike": Reach(0.02, (SURVEY_RIGHT,)),
-    "known_line": Reach(0.02, (SURVEY_RIGHT,)),
-    "known_diverse_gauge": Reach(0.02, (SURVEY_RIGHT,)),
-    "survey_shifted": Reach(survey=("survey_displaced",), covers_above=True),
-    "survey_scaled": Reach(survey=("survey_unit", *WRONG), covers_above=True),
-    "survey_mirrored": Reach(survey=("survey_mirrored", *WRONG), covers_above=True),
-    "survey_of_another_section": Reach(survey=WRONG, covers_above=True),
-    "gauge_of_another_section": Reach(survey=("survey_gauge_unrelated",), covers_above=True),
-    "gauge_scaled": Reach(survey=("survey_gauge_unit",), covers_above=True),
-    "unknown_long_gauge": Reach(0.035),
+    "known_alike": Reach(p95=0.015),
+    "known_alike_gauge": Reach(p95=0.02),
+    "known_wide_gauge": Reach(p95=0.02),
+    "known_line_alike": Reach(p95=0.02),
+    "known_line": Reach(p95=0.015),
+    "known_diverse_gauge": Reach(p95=0.02),
+    "survey_shifted": Reach(covers_above=True),
+    "survey_scaled": Reach(covers_above=True),
+    "survey_mirrored": Reach(covers_above=True),
+    "survey_of_another_section": Reach(covers_above=True),
+    "gauge_of_another_section": Reach(covers_above=True),
+    "gauge_scaled": Reach(covers_above=True),
+    "unknown_long_gauge": Reach(p95=0.05),
     "unknown_alike_02": Reach(covers_above=True),
     "unknown_alike_05": Reach(covers_above=True),
     "unknown_alike_08": Reach(covers_above=True),
-    "measured_known": Reach(0.01, (SURVEY_RIGHT,)),
-    "measured_unknown": Reach(0.02),
+    "measured_known": Reach(p95=0.01),
+    "measured_unknown": Reach(p95=0.02),
 }
+SURVEYS: Mapping[str, tuple[str, ...]] = {  # verdicts that are right; of other known track it is confirmed
+    "survey_shifted": ("survey_displaced",),
+    "survey_scaled": ("survey_unit", *WRONG),
+    "survey_mirrored": ("survey_mirrored", *WRONG),
+    "survey_of_another_section": WRONG,
+    "gauge_of_another_section": ("survey_gauge_unrelated",),
+    "gauge_scaled": ("survey_gauge_unit",),
+}
+
+
+def right_verdicts(row: str) -> tuple[str, ...]:
+    """Return the verdicts on the survey that are right; none where no survey is on file."""
+    return SURVEYS.get(row, () if row.endswith("unknown") or row.startswith(UNKNOWN) else (SURVEY_RIGHT,))
+
+
 WIDTH_TITLE = "Intervals of the conicity against the diversity of the fleet, rows on unknown track"
 DIVERSITIES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, math.inf)  # limits of the lines
 UNKNOWN = "unknown"  # how the names of the rows on unknown track begin
@@ -251,17 +259,12 @@ def _measured_wheels(folder: Path | None) -> tuple[WheelPair, ...]:
 
 
 def _right(name: str, cases: Sequence[Case]) -> int:
-    return sum(case["survey"] in ROWS[name].survey for case in cases)
+    return sum(case["survey"] in right_verdicts(name) for case in cases)
 
 
-def _met(name: str, cases: Sequence[Case]) -> bool:
-    reach, figures = ROWS[name], Conicities.of(cases)
-    covers = figures.covers(1.0) if reach.covers_above else figures.covers()
-    return (
-        (not reach.survey or _right(name, cases) == len(cases))
-        and (reach.p95 is None or figures.p95 <= reach.p95)
-        and (covers if figures.published else reach.covers_above)
-    )
+def _met(name: str, cases: Sequence[Case]) -> Verdict:
+    survey = verdict_of(not right_verdicts(name) or _right(name, cases) == len(cases))
+    return Verdict.all([survey, ROWS[name].verdict(cases)])
 
 
 def _without_intervals(cases: Sequence[Case]) -> str:
@@ -273,13 +276,13 @@ COLUMNS: Columns = {
     "row": lambda name, _: name,
     "seeds": lambda _, cases: str(len(cases)),
     "nothing published": lambda _, cases: _without_intervals(cases),
-    "survey right": lambda name, cases: f"{_right(name, cases)} of {len(cases)}" if ROWS[name].survey else "",
+    "survey right": lambda name, cases: f"{_right(name, cases)} of {len(cases)}" if right_verdicts(name) else "",
     "error: median / 95 %": lambda _, cases: Conicities.of(cases).error,
     "covers": lambda _, cases: Conicities.of(cases).cover,
     "half width": lambda _, cases: Conicities.of(cases).width,
     "diversity": lambda _, cases: f"{np.median([case['diversity'] for case in cases]):.2f}",
-    "reach": lambda name, _: "" if ROWS[name].p95 is None else f"{ROWS[name].p95:g}",
-    "met": lambda name, cases: yes_or_no(_met(name, cases)),
+    "reach": lambda name, _: str(ROWS[name]),
+    "met": lambda name, cases: str(_met(name, cases)),
 }
 WIDTH_COLUMNS: Columns = {
     "diversity": lambda name, _: name,

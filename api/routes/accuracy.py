@@ -105,7 +105,7 @@ class MeasuredAtBins(Representation):
     rolling_radius_difference_std_mm: list[float | None] = Field(description="Standard deviation at each bin.")
 
 
-class ConicityCompared(Derived, of=ConicityPair, without=("amplitude",), also=("covered",)):
+class ConicityCompared(Derived, of=ConicityPair, without=("amplitude",), also=("covered", "z")):
     """Equivalent conicity at one amplitude (EN 15302), measured and estimated."""
 
     amplitude_mm: float
@@ -210,11 +210,11 @@ def _at_bins(comparison: Comparison) -> MeasuredAtBins | None:
     )
 
 
-class Coverage(Derived, of=CoverageCount, also=("fraction",)):
-    """How many 95 % intervals cover what was measured; those without estimate or measurement are not counted."""
+class Coverage(Derived, of=CoverageCount, without=("interval_95",), also=("fraction",)):
+    """How many 95 % intervals cover what was measured, and z; what has no estimate or measurement is not counted."""
 
     fraction_interval_95_1: tuple[float, float] | None = Field(
-        description="95 % interval of the share (Clopper and Pearson), as if comparisons were independent."
+        description="95 % interval of the share, as if wheelsets were independent; those of one wheelset are not."
     )
 
     @classmethod
@@ -260,6 +260,9 @@ class MeasurementRow(Representation):
     )
     measured_1: Uncertain = Field(description="Equivalent conicity at 3 mm of the measured profiles.")
     estimated_1: Uncertain = Field(description="Equivalent conicity at 3 mm of the estimate.")
+    z_1: float | None = Field(
+        description="Estimate less measurement over the standard deviation of both; null where it is not compared."
+    )
     reason: str | None = Field(description="Why it is not compared; null where it is.")
     reason_code: ReasonCode | None
     links: Links
@@ -320,13 +323,15 @@ def _accuracy(accuracy: FleetAccuracy, placed: Placed, on_file: int, links: Mapp
 def table(rows: Sequence[MeasurementRow]) -> tuple[Sequence[str], list[Sequence[object]]]:
     """Return the measurements as a header and rows."""
     header = ["wheelset", "measured_at", "mileage_km", "vehicle_class", "track_sections", "outcome", "independent"]
-    header += ["measured_1", "measured_std_1", "estimated_1", "estimated_low_1", "estimated_high_1", "reason_code"]
+    header += ["measured_1", "measured_std_1", "estimated_1", "estimated_low_1", "estimated_high_1", "z_1"]
+    header.append("reason_code")
     return header, [
         (
             *(row.wheelset, row.measured_at, row.mileage_km, row.vehicle_class, " ".join(row.track_sections)),
             *(row.outcome.value, None if row.independent is None else str(row.independent).lower()),
             *(row.measured_1.value, row.measured_1.std, row.estimated_1.value),
             *(row.estimated_1.interval_95 or (None, None)),
+            row.z_1,
             None if row.reason_code is None else row.reason_code.value,
         )
         for row in rows
@@ -346,6 +351,7 @@ def _row(row: PlacedComparison) -> MeasurementRow:
         independent=comparison.independent,
         measured_1=uncertain(comparison.at_limit.measured),
         estimated_1=uncertain(comparison.at_limit.estimated),
+        z_1=comparison.at_limit.z,
         **why(comparison.reason),
         links={
             "wheelset": f"/v1/wheelsets/{segment(measured.wheelset)}",

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated
 
 import numpy as np
-from scipy.special import betaincinv
 
+from estimation.accuracy.clustered_share import share_interval
 from estimation.accuracy.parameters import ACCURACY
 from estimation.accuracy.wheel_contact import AMPLITUDES, WheelContact
 from estimation.contact.profiles import MeasuredProfiles
@@ -115,6 +115,19 @@ class ConicityPair:
         """Whether the interval of the estimate covers the measurement; None where either is unknown."""
         return covers(self.estimated, self.measured)
 
+    @property
+    def z(
+        self,
+    ) -> Annotated[
+        float | None,
+        Served(
+            "Estimate less measurement over the standard deviation of both; null where either is unknown.",
+            "z_1",
+        ),
+    ]:
+        """Estimate less measurement over the standard deviation of both; None where either is unknown."""
+        return standardised(self.estimated, self.measured)
+
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
@@ -188,18 +201,58 @@ def covers(estimated: Estimate, measured: Estimate) -> bool | None:
     return abs(difference) <= math.hypot(half, NORMAL_95 * measured.std)
 
 
+def standardised(estimated: Estimate, measured: Estimate) -> float | None:
+    """Return estimate less measurement over the standard deviation of both; None where either is unknown."""
+    if None in (estimated.value, estimated.std, measured.value, measured.std):
+        return None
+    std = math.hypot(estimated.std or 0.0, measured.std or 0.0)
+    return ((estimated.value or 0.0) - (measured.value or 0.0)) / std if std > 0.0 else None
+
+
 @dataclass(frozen=True, slots=True)
 class CoverageCount:
-    """How many intervals were compared with a measurement, and how many covered it."""
+    """How many intervals were compared with a measurement, how many covered it, and how large z was.
+
+    ``interval_95`` is the 95 % interval of the share, None without a comparison.
+    """
 
     compared: Annotated[int, Served("Intervals that were compared with a measurement.")] = 0
     covered: Annotated[int, Served("Of these, the ones that cover it.")] = 0
 
-    @staticmethod
-    def of(outcomes: Iterable[bool | None]) -> CoverageCount:
-        """Return the count of outcomes of :func:`covers`; those that are None are not counted."""
-        decided = [outcome for outcome in outcomes if outcome is not None]
-        return CoverageCount(len(decided), sum(decided))
+    z_rms: Annotated[
+        float | None,
+        Served(
+            "Root mean square of z: 1 where standard deviations are as large as errors are; null where nothing was"
+            " compared.",
+            "z_rms_1",
+        ),
+    ] = None
+    mean_z: Annotated[
+        float | None,
+        Served(
+            "Mean of z: 0 where estimates are neither too high nor too low; null where nothing was compared.",
+            "mean_z_1",
+        ),
+    ] = None
+    interval_95: tuple[float, float] | None = None
+
+    @classmethod
+    def of(cls, pairs: Iterable[tuple[str, ConicityPair]]) -> CoverageCount:
+        """Return the count of some conicities, each of a wheelset; what is not known on both sides is not counted."""
+        by_wheelset: defaultdict[str, list[bool]] = defaultdict(list)
+        z: list[float] = []
+        for serial, pair in pairs:
+            if pair.covered is not None:
+                by_wheelset[serial].append(pair.covered)
+                z += [] if pair.z is None else [pair.z]
+        clusters = [(len(covered), sum(covered)) for covered in by_wheelset.values()]
+        return cls(
+            compared=sum(number for number, _ in clusters),
+            covered=sum(covered for _, covered in clusters),
+            z_rms=float(np.sqrt(np.mean(np.square(z)))) if z else None,
+            mean_z=float(np.mean(z)) if z else None,
+            interval_95=share_interval(clusters, ACCURACY.tail_probability),
+        )
 
     @property
     def fraction(
@@ -207,17 +260,6 @@ class CoverageCount:
     ) -> Annotated[float | None, Served("Share that is covered; null where nothing was compared.", "fraction_1")]:
         """Share that is covered; None where nothing was compared."""
         return self.covered / self.compared if self.compared else None
-
-    @property
-    def interval_95(self) -> tuple[float, float] | None:
-        """The 95 % interval of the share after Clopper and Pearson (Biometrika 26, 1934); None without a comparison."""
-        # comparisons count as independent of each other
-        n, k = self.compared, self.covered
-        if n == 0:
-            return None
-        low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, ACCURACY.tail_probability))
-        high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1.0 - ACCURACY.tail_probability))
-        return low, high
 
 
 class Outcome(StrEnum):
@@ -280,10 +322,13 @@ def fleet_accuracy(rows: Sequence[PlacedComparison]) -> FleetAccuracy:
 
 def _count(rows: Iterable[PlacedComparison], index: int | None = None) -> CoveragePair:
     comparisons = [row.comparison for row in rows]
-    pairs = [item.at_limit if index is None else item.conicity[index] for item in comparisons]
-    alone = (pair for pair, comparison in zip(pairs, comparisons, strict=True) if comparison.independent)
-    of_all, of_alone = (CoverageCount.of(pair.covered for pair in some) for some in (pairs, alone))
-    return CoveragePair(of_all, of_alone)
+    alone = [comparison for comparison in comparisons if comparison.independent]
+    return CoveragePair(*(CoverageCount.of(_pairs(some, index)) for some in (comparisons, alone)))
+
+
+def _pairs(comparisons: Iterable[Comparison], index: int | None) -> Iterator[tuple[str, ConicityPair]]:
+    for one in comparisons:
+        yield one.measurement.wheelset, one.at_limit if index is None else one.conicity[index]
 
 
 def _grouped(

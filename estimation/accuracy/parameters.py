@@ -30,3 +30,16 @@ class AccuracyParameters:
 
 
 ACCURACY = AccuracyParameters()
+
+
+@dataclass(frozen=True, slots=True)
+class ShareParameters:
+    """How the interval of a share is integrated; only what is shown of an accuracy depends on it."""
+
+    nodes: int = 200  # of the share
+    correlations: int = 30  # nodes of the correlation within a cluster
+    # density (1 - correlation)^this: of an even one it would take 50 fleets that hold all to show that this is too much
+    correlation_power: float = 1.0
+
+
+SHARE = ShareParameters()

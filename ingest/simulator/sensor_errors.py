@@ -48,6 +48,7 @@ class SensorErrors:
     offset_slope: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # u per s, per channel and campaign
     scale_drift: float = 0.0  # relative, from begin to end of a campaign, per channel
     vibration: Vibration | None = None
+    stated_scale: float | None = None  # on file; None: as it is
 
 
 @dataclass(frozen=True, slots=True)

@@ -240,6 +240,7 @@ class SensorsTable:
     measures_gravity: bool = False
     mass_sensor: bool = True
     scale_error_std: Annotated[float, between(0.0, 30.0), PERCENT] = 0.0
+    stated_scale_std: Annotated[float, between(0.0, 30.0), PERCENT] | None = None
     mounting_error_std: Annotated[float, between(0.0, 20.0), AfterValidator(math.radians), FileUnit("_deg")] = 0.0
     skew_std: Annotated[float, between(0.0, 100.0), MS] = 0.0
     offset_drift_std: Annotated[NotNegative, FileUnit("_mg_per_min", 1e3 * MICRO_G, 60.0)] = 0.0
@@ -281,6 +282,7 @@ class SensorsTable:
             vibration=Vibration(*box, self.mass_vibration_share, self.vibration_from_hz, self.vibration_to_hz)
             if any(box)
             else None,
+            stated_scale=self.stated_scale_std,
         )
         return SensorNode(
             Channel(self.lateral_noise, self.lateral_offset, self.lateral_drift, self.lateral_limit),

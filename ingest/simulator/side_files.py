@@ -32,7 +32,8 @@ from ingest.vehicle_class_schema import class_tables
 def class_entry(scenario: Scenario, code: str) -> JsonValue:
     """Return the entry of a class of a scenario: with the parameters of its vehicles and the sensors of its nodes."""
     bogie, sensors = scenario.bogie, scenario.sensors
-    tables, scale_std = class_tables(scenario.parameters, bogie), sensors.errors.scale
+    tables, errors = class_tables(scenario.parameters, bogie), sensors.errors
+    scale_std = errors.scale if errors.stated_scale is None else errors.stated_scale
     entry: dict[str, JsonValue] = {
         "code": code,
         "name": code,

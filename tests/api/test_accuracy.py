@@ -78,7 +78,11 @@ def test_the_fleet_is_counted_and_what_is_not_covered_or_not_compared_is_named(c
     assert found["coverage"]["everything"]["compared"] == 2
     assert found["coverage"]["everything"]["covered"] == 1
     low, high = found["coverage"]["everything"]["fraction_interval_95_1"]
-    assert (low, high) == pytest.approx((0.0126, 0.9874), abs=1e-4)  # Clopper and Pearson, 1 of 2
+    assert (low, high) == pytest.approx((0.0608, 0.9392), abs=2e-3)  # Jeffreys, 1 of 2
+    rows = [row["z_1"] for row in found["measurements"] if row["z_1"] is not None]
+    assert len(rows) == 2
+    assert found["coverage"]["everything"]["z_rms_1"] == pytest.approx(np.sqrt(np.mean(np.square(rows))))
+    assert found["coverage"]["everything"]["mean_z_1"] == pytest.approx(np.mean(rows))
     outcomes = {row["wheelset"]: row for row in found["measurements"]}
     assert outcomes[SERIAL]["outcome"] == "covered"
     assert outcomes[SERIAL]["vehicle_class"] == "regional"
@@ -108,6 +112,7 @@ def test_the_count_is_bounded_filtered_and_a_table(client: httpx.Client) -> None
     body = client.get("/v1/accuracy", headers={"Accept": "text/csv"}).text
     rows = {row["wheelset"]: row for row in csv.DictReader(io.StringIO(body))}
     assert rows[OTHER]["outcome"] == "not_covered"
+    assert float(rows[OTHER]["z_1"]) > 1.96
     assert float(rows[OTHER]["estimated_low_1"]) == pytest.approx(0.56)
     unknown = client.get(f"/v1/wheelsets/{SERIAL}/measured-profiles/2020-01-01T00:00:00Z/comparison")
     assert unknown.status_code == 404

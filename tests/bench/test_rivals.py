@@ -30,9 +30,10 @@ def test_smooth_wheels_have_no_contact_jump_and_the_others_do(family: str, jumps
 
 def scored(estimator: str, errors: list[float | None], as_run: list[float | None], **other: Any) -> dict[str, Any]:  # noqa: ANN401
     given = [error for error in errors if error is not None]
+    compared = [None if error is None else [error, 0.1, True] for error in errors]
     base: dict[str, Any] = {
         "family": JUMPS, "seed": 0, "track": "known", "estimator": estimator, "serial": "W00", "errors": errors,
-        "errors_as_run": as_run, "covered": [True] * len(given), "own_covered": [False] * len(given), "reason": "",
+        "compared": compared, "errors_as_run": as_run, "own_covered": [False] * len(given), "reason": "",
         "cpu_s": 2.0, "running_s": 1800.0, "state_bytes": 4000,
     }  # fmt: skip
     return base | other
@@ -47,8 +48,8 @@ def test_rows_are_of_what_was_estimated() -> None:
     ]
     rows = {row[2]: row for row in table_rows(found)}
     assert rows["extended_kalman"][3] == "0 of 1 (diverged)"
-    assert rows["bins"][3:8] == ("1 of 1", "0.0100", "0.0285", "100 % of 4", "0 % of 4")
-    assert rows["hidden"][8:] == ("600", "4")
+    assert rows["bins"][3:8] == ("1 of 1", "0.0100", "0.0285", "0 % of 4", "900")
+    assert rows["hidden"][7:] == ("600", "4")
     near = {row[1]: row for row in near_rows(found)}
     assert near["hidden"][4:] == ("0.0020", "0.0020")
     assert floor(found) == pytest.approx(np.quantile([0.02, 0.01, 0.0], 0.95))

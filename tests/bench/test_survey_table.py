@@ -9,7 +9,7 @@ import pytest
 
 from bench.report import RESULTS
 from bench.survey_fleets import drawn_track
-from bench.surveys import ROWS, SURVEYS, Paired, differences, figures_of, most_share, rows_of, summary
+from bench.surveys import ROWS, SURVEYS, Paired, differences, figures, most_share, rows_of, summary
 
 
 def conicity(error: float, half_width: float = 0.02, key: str = "W 3") -> dict[str, Any]:
@@ -31,8 +31,8 @@ def met(cases: list[dict[str, Any]], what: str) -> bool:
 
 
 def test_figures_of_published_numbers() -> None:
-    found = figures_of([conicity(0.01), conicity(-0.03)])
-    assert (found.count, found.cover) == (2, 0.5)
+    found = figures([case("0.3 mm", conicity(0.01), conicity(-0.03))])
+    assert (found.count, found.cover.share) == (2, 0.5)
     assert found.error == pytest.approx(0.02)
     assert found.score == pytest.approx(0.04 + 0.5 * 40 * 0.01)
     assert found.z == pytest.approx(1.959964 * (0.5 * (0.25 + 2.25)) ** 0.5)
@@ -105,7 +105,7 @@ def test_coverage_of_understated_surveys() -> None:
     rows = [conicity(0.0)] * 92 + [conicity(0.1)] * 8
     assert met([case("0.5 mm stated as 0.1", *rows)], "understated")
     assert not met([case("0.5 mm stated as 0.1", *rows, conicity(0.1))], "understated")
-    assert rows_of([case("0.5 mm stated as 0.1", *rows)], "survey")[0][4] == "100 of 1"
+    assert rows_of([case("0.5 mm stated as 0.1", *rows)], "survey")[0][4] == "100"
 
 
 def test_a_track_has_its_switches() -> None:

@@ -20,7 +20,7 @@ def test_every_file_is_a_scenario_of_its_name(path: Path) -> None:
     scenario = read_scenario(path)
     assert scenario.name == path.stem
     assert len(scenario.vehicles) * len(scenario.vehicles[0].wheelsets) == 12
-    assert (scenario.class_on_file is not None) <= path.stem.startswith("wrong_")
+    assert (scenario.class_on_file is not None) <= path.stem.startswith(("wrong_", "demo_"))
 
 
 def test_the_coach_of_the_bench_is_the_shipped_one() -> None:

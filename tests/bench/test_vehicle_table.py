@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from bench.study import stored_cases
-from bench.vehicles import ROWS, SCENARIOS, table
+from bench.vehicles import CHANGED, ROWS, SCENARIOS, scenario_of, table
 
 
 def case(row: str, statuses: list[str], *, covered: int = 0, error: float = 0.005, seed: int = 0) -> dict[str, Any]:
@@ -19,14 +19,11 @@ def case(row: str, statuses: list[str], *, covered: int = 0, error: float = 0.00
         for number, status in enumerate(statuses)
         for good in [status == "estimated"]
     ]
+    numbers = [[error, 0.01, place < covered] for place in range(20)]
     wheelsets = [
-        {
-            "error": error if item["published"] else None,
-            "conicity": {"published": 20 * item["published"], "covered": n},
-            "published": [],
-        }
+        {"serial": item["serial"], "error": error, "compared": numbers, "withheld": []}
         for item in verdicts
-        for n in [covered if item["published"] else 0]
+        if item["published"]
     ]
     cost = {"cpu_s": [1.0, 2.0, 3.0], "wheelset_hours": 3.0}
     return {"row": row, "seed": seed, "verdicts": verdicts, "wheelsets": wheelsets, **cost}
@@ -43,6 +40,7 @@ def cells(*cases: dict[str, Any]) -> dict[str, str]:
     ("statuses", "covered", "error", "met"),
     [
         (["estimated"] * 4, 19, 0.005, "yes"),
+        (["estimated"] * 4, 20, 0.005, "NO"),  # too wide
         (["estimated"] * 4, 19, 0.011, "NO"),  # error
         (["estimated"] * 4, 17, 0.005, "NO"),  # coverage
         (["estimated"] * 3 + ["model_mismatch"], 19, 0.005, "NO"),  # a false alarm
@@ -52,7 +50,19 @@ def cells(*cases: dict[str, Any]) -> dict[str, str]:
 def test_a_right_class_is_held_to_error_coverage_and_false_alarms(
     statuses: list[str], covered: int, error: float, met: str
 ) -> None:
-    assert cells(case("soft_known", statuses, covered=covered, error=error))["met"] == met
+    cases = [case("soft_known", statuses, covered=covered, error=error, seed=seed) for seed in range(40)]
+    assert cells(*cases)["met"] == met
+
+
+def test_a_few_fleets_decide_no_coverage_but_an_error() -> None:
+    few = [case("soft_known", ["estimated"] * 4, covered=20, seed=seed) for seed in range(3)]
+    assert cells(*few)["met"] == "not decided"
+    assert cells(*few, case("soft_known", ["estimated"] * 4, covered=20, error=0.2, seed=3))["met"] == "NO"
+
+
+def test_half_widths_are_reached_too() -> None:
+    cases = [case("soft_unknown", ["estimated"] * 4, covered=19, error=0.004, seed=seed) for seed in range(40)]
+    assert cells(*cases)["met"] == "NO"  # +-0.01 where +-0.005 is asked
 
 
 @pytest.mark.parametrize(
@@ -79,6 +89,7 @@ def test_a_fleet_without_alignment_has_the_verdict_on_its_survey_as_reason() -> 
 
 def test_every_row_is_a_scenario_file() -> None:
     assert {path.stem for path in SCENARIOS.glob("*.toml")} <= set(ROWS)
+    assert all((SCENARIOS / f"{CHANGED.get(row, (row,))[0]}.toml").exists() for row in ROWS)
 
 
 def test_results_are_read_as_far_as_they_go_and_the_last_of_a_case_counts(tmp_path: Path) -> None:
@@ -87,3 +98,10 @@ def test_results_are_read_as_far_as_they_go_and_the_last_of_a_case_counts(tmp_pa
     lines = [{"row": "a", "seed": 0, "x": 1}, {"row": "a", "seed": 1, "x": 2}, {"row": "a", "seed": 0, "x": 3}]
     path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
     assert [(item["seed"], item["x"]) for item in stored_cases(path, ("row", "seed"))] == [(0, 3), (1, 2)]
+
+
+@pytest.mark.parametrize("row", CHANGED)
+def test_a_changed_row_is_a_scenario_that_differs(row: str) -> None:
+    changed, base = scenario_of(row, 1), scenario_of(CHANGED[row][0], 1)
+    assert changed.name == row
+    assert (changed.section, changed.sensors, changed.sessions) != (base.section, base.sensors, base.sessions)

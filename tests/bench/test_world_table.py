@@ -10,11 +10,10 @@ from bench.world import tables
 
 
 def case(row: str, diversity: float, widths: list[float], *, covered: int, error: float = 0.01) -> dict[str, Any]:
-    conicity = {"published": len(widths), "covered": covered}
-    published = [(error, width, True) for width in widths]
-    wheelsets = [{"error": error, "conicity": conicity, "published": published}] if widths else []
+    published = [(error, width, place < covered) for place, width in enumerate(widths)]
+    wheelsets = [{"serial": "W", "error": error, "compared": published, "withheld": []}] if widths else []
     survey = "survey_confirmed" if row.startswith("known") else ""
-    return {"row": row, "survey": survey, "wheelsets": wheelsets, "diversity": diversity}
+    return {"row": row, "survey": survey, "wheelsets": wheelsets, "verdicts": [], "diversity": diversity}
 
 
 def cells(table: ResultTable) -> list[dict[str, str]]:
@@ -34,8 +33,8 @@ def test_widths_are_printed_against_the_diversity_of_fleets_on_unknown_track() -
     assert [row["diversity"] for row in rows] == ["0 to 0.1", "0.1 to 0.2", "above 0.8", "none"]
     assert [row["fleets"] for row in rows] == ["1", "2", "1", "1"]
     assert [row["nothing published"] for row in rows] == ["1", "0", "0", "1"]
-    assert rows[1]["covers"] == "75.0 % of 4"
-    assert rows[1]["half width: median"] == "0.350"
+    assert rows[1]["covers"].startswith("0.750 [0.")
+    assert rows[1]["half width: median"] == "0.3500"
     assert rows[1]["error: median"] == "0.0300"
 
 
@@ -46,9 +45,9 @@ def test_a_row_counts_the_fleets_of_which_nothing_was_published(tmp_path: Path) 
         case("known_alike", 0.2, [0.02] * 20, covered=19, error=0.016),
     ]
     known, unknown = cells(tables(cases)[0])
-    assert (unknown["seeds"], unknown["nothing published"], unknown["met"]) == ("2", "1", "yes")
-    assert (known["survey right"], known["covers"], known["met"]) == ("1 of 1", "95.0 % of 20", "NO")
+    assert (unknown["seeds"], unknown["nothing published"], unknown["met"]) == ("2", "1", "not decided")
+    assert (known["survey right"], known["covers"][:5], known["met"]) == ("1 of 1", "0.950", "NO")
     page = write_page("world", "World", "bench", tables(cases), tmp_path).read_text()
     assert "| unknown_alike_02 | 2 | 1 |" in page
-    assert "| 0 to 0.1 | 2 | 1 | 100.0 % of 1 | 0.200 | 0.0100 |" in page
+    assert "| 0 to 0.1 | 2 | 1 | 1.000 [" in page
     assert len(tables(cases[2:])) == 1  # nothing of unknown track

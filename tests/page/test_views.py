@@ -110,7 +110,10 @@ def test_accuracy_counts_the_intervals_that_cover_and_lists_every_measurement(
     found = client.get("/v1/accuracy?limit=500").json()
     page.goto(f"{page_service.url}/#/accuracy")
     summary = page.get_by_label("Do the intervals cover?")
-    expect(summary).to_contain_text("1 of 2 50 %[1 %, 99 %]")
+    expect(summary).to_contain_text("1 of 2 50 %[6 %, 94 %]")
+    z = found["coverage"]["everything"]["z_rms_1"]
+    expect(summary).to_contain_text(f"z rms, all comparisons{z:.2f}")
+    expect(page.get_by_label("z over time", exact=True).locator("canvas").first).to_be_visible()
     rows = page.get_by_label("Measurements").locator("tbody tr")
     expect(rows).to_have_count(len(found["measurements"]))
     expect(rows.filter(has_text=measured_fleet.SERIAL).first).to_contain_text("covered")

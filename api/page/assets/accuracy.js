@@ -9,7 +9,7 @@ import { keepQuery } from "./router.js";
 import { empty } from "./states.js";
 import { saveButton } from "./table_file.js";
 
-const NEWEST = 500;
+const NEWEST = 500, DAY_S = 86400;
 const TONES = { covered: "good", not_covered: "warning" };
 
 export async function accuracy({ query, signal, title }) {
@@ -43,10 +43,13 @@ function show(found) {
         el("dt", {}, "All comparisons"), el("dd", {}, share(everything)),
         el("dt", {}, "Independent ones"), el("dd", {}, share(independent), el("span", { class: "second" }, "their estimate used no measurement of the same profiles")),
         el("dt", {}, "Measurements"), el("dd", {}, `${number(found.considered)} of ${number(found.on_file)} on file, the newest`),
+        el("dt", {}, "z rms, all comparisons"), el("dd", {}, decimal(everything.z_rms_1), el("span", { class: "second" }, "error over standard deviation: below 1 intervals are wider than they need be, above 1 too narrow")),
+        el("dt", {}, "Mean z"), el("dd", {}, decimal(everything.mean_z_1, true), el("span", { class: "second" }, "above 0 estimates are too high, below 0 too low")),
         found.not_compared.map((one) => [el("dt", {}, "Not compared"), el("dd", {}, `${number(one.measurements)}: ${words(one.reason_code)}`)]),
         found.unreadable.map((one) => [el("dt", {}, "Unreadable"), el("dd", {}, link(one.wheelset), el("span", { class: "second" }, one.reason))]),
       )),
     drawn(found.measurements),
+    monitor(found.measurements),
     panel("By amplitude", "", shares("Amplitude", found.coverage_by_amplitude.map((one) => [`${number(one.amplitude_mm)} mm`, one]))),
     panel("By class and section", "",
       shares("Vehicle class", found.coverage_by_vehicle_class.map((one) => [one.key, one])),
@@ -68,9 +71,29 @@ function shares(name, lines) {
   if (lines.length === 0) return el("p", { class: "absent" }, `${name}: nothing was compared.`);
   return el(
     "table", { class: "plain" },
-    el("thead", {}, el("tr", {}, [name, "Covered", "Independent, covered"].map((text) => el("th", { scope: "col" }, text)))),
-    el("tbody", {}, lines.map(([key, one]) => el("tr", {}, el("td", {}, key), el("td", {}, share(one.everything)), el("td", {}, share(one.independent))))),
+    el("thead", {}, el("tr", {}, [name, "Covered", "z: rms, mean", "Independent, covered", "z: rms, mean"].map((text) => el("th", { scope: "col" }, text)))),
+    el("tbody", {}, lines.map(([key, one]) => el("tr", {}, el("td", {}, key), held(one.everything), held(one.independent)))),
   );
+}
+
+const decimal = (value, signed) => (value === null ? "" : `${signed && value > 0 ? "+" : ""}${number(value, 2)}`);
+const held = (one) => [el("td", {}, share(one)), el("td", {}, one.z_rms_1 === null ? "" : `${decimal(one.z_rms_1)}, ${decimal(one.mean_z_1, true)}`)];
+
+/** z of every measurement over its date: about 95 of 100 are within 1.96, and none of them drifts. */
+function monitor(found) {
+  const compared = found.filter((row) => row.z_1 !== null).sort((one, other) => Date.parse(one.measured_at) - Date.parse(other.measured_at));
+  if (compared.length === 0) return null;
+  const at = new Map(compared.map((row, place) => [row, Date.parse(row.measured_at) / 1000 + place])); // of one time each keeps its point
+  const points = (outcome, label, role) => {
+    const rows = compared.filter((row) => (row.outcome === "covered") === outcome);
+    return { label, role, kind: "points", digits: 2, x: rows.map((row) => at.get(row)), y: rows.map((row) => row.z_1) };
+  };
+  const series = [points(true, "covered", "estimate"), points(false, "not covered", "limit")].filter((one) => one.x.length);
+  const far = Math.max(3, ...compared.map((row) => 1.1 * Math.abs(row.z_1)));
+  return panel("z over time", "", chart({
+    label: "Estimate less measurement, over the standard deviation of both", height: 200, x: { time: true, range: [at.get(compared[0]) - DAY_S, at.get(compared.at(-1)) + DAY_S] }, y: { label: "z", range: [-far, far], digits: 1 },
+    series, marks: [1.96, 0, -1.96].map((y) => ({ y, label: y ? number(y, 2) : "", role: "design" })),
+  }));
 }
 
 /** Estimated against measured conicity: what lies on the line agrees. */
@@ -91,7 +114,7 @@ function drawn(found) {
 }
 
 function measurements(found) {
-  const heads = ["Wheelset", "Measured", "Outcome", "Conicity at 3 mm, measured", "estimated", "Independent", "Why it is not compared"];
+  const heads = ["Wheelset", "Measured", "Outcome", "Conicity at 3 mm, measured", "estimated", "z", "Independent", "Why it is not compared"];
   return el(
     "table", { class: "plain" },
     el("thead", {}, el("tr", {}, heads.map((text) => el("th", { scope: "col" }, text)))),
@@ -99,7 +122,7 @@ function measurements(found) {
       "tr", {}, el("td", {}, link(row.wheelset), row.vehicle_class ? el("span", { class: "second" }, row.vehicle_class) : null),
       el("td", {}, date(row.measured_at), el("span", { class: "second" }, km(row.mileage_km))),
       el("td", {}, el("span", { class: `badge ${TONES[row.outcome] ?? ""}` }, words(row.outcome))),
-      el("td", {}, estimate(row.measured_1)), el("td", {}, estimate(row.estimated_1)),
+      el("td", {}, estimate(row.measured_1)), el("td", {}, estimate(row.estimated_1)), el("td", {}, decimal(row.z_1, true)),
       el("td", {}, row.independent === null ? "" : row.independent ? "yes" : "no"), el("td", {}, row.reason ?? ""),
     ))),
   );

@@ -14,6 +14,7 @@ from ingest.simulator.fleet import prepare
 from ingest.simulator.scenario_file import load_scenario, read_scenario
 from ingest.vehicle_class_schema import read_vehicle_class, shipped_path
 
+STATED = 'kind = "mems"\nscale_error_std_percent = 1.0\n'
 FOUR = SMALL.replace("[2.0, 4.5, 12.0]", "[2.0, 4.5, 20.0, 22.5]") + '\n[[vehicles.wheelsets]]\nserial = "D"\n'
 FOUR += "wear_mm_per_100000_km = 0.5\n"
 
@@ -72,3 +73,13 @@ def test_the_demo_has_vibrating_bogies_that_differ_from_their_class_within_its_s
 def test_what_cannot_be_on_file_is_refused(tmp_path: Path, table: str, reason: str) -> None:
     with pytest.raises(ScenarioError, match=reason):
         registry(tmp_path, table)
+
+
+@pytest.mark.parametrize(
+    ("key", "stated"), [("", 0.01), ("stated_scale_std_percent = 0.5", 0.005), ("stated_scale_std_percent = 0.0", 0.0)]
+)
+def test_a_class_states_the_scales_as_they_are_or_as_it_is_told(tmp_path: Path, key: str, stated: float) -> None:
+    path = tmp_path / "scenario.toml"
+    path.write_text(SMALL.replace('kind = "mems"', f"{STATED}{key}"))
+    (entry,) = json.loads(prepare(read_scenario(path), tmp_path / "out").read_text())["vehicle_classes"]
+    assert {entry["sensors"][name]["scale_std"] for name in ("lateral", "yaw", "roll", "mass_lateral")} == {stated}
