@@ -230,7 +230,7 @@ def _published(case: Case) -> Cluster:
     scored = [one for one in case["scores"] if one.get("anchor") in HOLD]
     wheelsets = [wheelset for one in scored for wheelset in one["wheelsets"]]
     numbers = [number for wheelset in wheelsets for number in wheelset["apart"] if number is not None]
-    return Cluster.read(numbers, ["" for one in wheelsets for number in one["apart"] or AMPLITUDES if number is None])
+    return Cluster.read(numbers, [code for one in wheelsets for code in one["withheld"] if code])
 
 
 main = Study(

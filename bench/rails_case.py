@@ -12,7 +12,7 @@ import numpy as np
 
 from api.comparison.trial import ESTIMATION, deploy, opened, receive, record, register, run_jobs
 from api.settings import Settings
-from bench.scores import AMPLITUDES, compared_at
+from bench.scores import AMPLITUDES, compared_at, withheld_at
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.profiles import wheel_profile
@@ -196,6 +196,9 @@ def _stored(unit: UnitOfWork, sections: Sequence[BenchSection]) -> Scored:
                 "apart": []
                 if found_wheels is None
                 else compared_at(AMPLITUDES, true, np.array(found_wheels.amplitude), found_wheels.part.conicity),
+                "withheld": ["no_answer"] * len(AMPLITUDES)
+                if found_wheels is None
+                else withheld_at(AMPLITUDES, np.array(found_wheels.amplitude), found_wheels.part.conicity),
                 "today": [] if now is None else compared_at(AMPLITUDES, true, now.amplitude, now.conicity),
             }
         )

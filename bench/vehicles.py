@@ -61,7 +61,7 @@ ROWS: Mapping[str, Reach | None] = {  # None: nothing may be published
     "all_faults": Reach(p95=0.03),
     "demo_fleet": Reach(),
     "steep_rise": Reach(p95=0.02, half=0.02),
-    "scales_1_percent": Reach(p95=0.01),
+    "scales_1_percent": Reach(),
     "sensors_5_percent": Reach(covers_above=True),
     "vibration_2": Reach(p95=0.03),
     "vibration_5": Reach(p95=0.03),
