@@ -18,7 +18,17 @@ from estimation.values.units import IN_MM
 from estimation.values.windows import WindowRecord
 
 MOST_TONNAGE_MGT = 1000.0  # a year, on one section
-OPEN_SCALE = (0.05, 0.08)  # std of the scale of an alignment from which a gauge may, and from which it does, hide in it
+
+
+@dataclass(frozen=True, slots=True)
+class OpenScale:
+    """Std of the scale of an alignment from which on an unknown gauge may hide in it, and from which on it does."""
+
+    low: float = 0.05
+    high: float = 0.08
+
+
+OPEN_SCALE = OpenScale()
 
 
 def open_gauge_std(scale_std: float, gauge_std: float) -> float:
@@ -27,8 +37,7 @@ def open_gauge_std(scale_std: float, gauge_std: float) -> float:
     What makes passes disagree is stated as gauge (``gauge_std``, m), and need not be one. A gauge of waves so long that
     passes do not show it leaves the scale of the alignment open.
     """
-    low, high = OPEN_SCALE
-    return min(max((scale_std - low) / (high - low), 0.0), 1.0) * gauge_std
+    return min(max((scale_std - OPEN_SCALE.low) / (OPEN_SCALE.high - OPEN_SCALE.low), 0.0), 1.0) * gauge_std
 
 
 class AlignmentSource(StrEnum):

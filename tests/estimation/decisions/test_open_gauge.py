@@ -12,7 +12,7 @@ from estimation.values.track import OPEN_SCALE, open_gauge_std
     ("scale", "share"), [(0.0, 0.0), (0.05, 0.0), (0.056, 0.2), (0.065, 0.5), (0.08, 1.0), (0.3, 1.0)]
 )
 def test_a_gauge_hides_where_the_scale_is_open(scale: float, share: float) -> None:
-    assert OPEN_SCALE == (0.05, 0.08)
+    assert (OPEN_SCALE.low, OPEN_SCALE.high) == (0.05, 0.08)
     assert open_gauge_std(scale, 1e-3) == pytest.approx(share * 1e-3)
 
 
