@@ -57,9 +57,7 @@ class ParameterUncertainty:
     jump_share_uncorrected: float = 0.5  # of the gauge's own std: contact jumps move by half the gauge deviation
     jump_share_corrected: float = 0.22  # the same where the effect of the gauge is taken off
     jump_share_gauge_estimated: float = 0.32  # the same where the gauge had to be found too
-    jump_mean_share: float = (
-        0.45  # of a gauge that hides in the alignment: by how much contact jumps are off on average
-    )
+    jump_mean_share: float = 0.45  # of a gauge that hides in the alignment: by how much jumps are off on average
     scale_per_gauge_square: float = 0.015e6  # 1/m2, of y - d per variance of the gauge: far out it is wide
     scale_per_mean_gauge: float = 0.15e3  # 1/m, of y - d per gauge that is wide as a whole: worn wheels at 3 mm
     sensor_scale: float = 0.02  # std of the spring error by the scales of the sensors
