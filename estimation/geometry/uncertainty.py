@@ -185,8 +185,9 @@ def _jump_mean_std(track: TrackAlignment, uncertainty: ParameterUncertainty) -> 
     # A gauge of waves so long that the filters take them moves all jumps together, and blurs none. Where it is known, a
     # section has few such waves, and what they do on average is no more than by the mean of few.
     if track.gauge_known:
-        means = [float(part.mean()) for part in np.array_split(track.gauge_deviation, uncertainty.long_waves)]
-        return uncertainty.jump_share_long * float(np.std(means)) / math.sqrt(uncertainty.long_waves)
+        parts = min(uncertainty.long_waves, len(track.gauge_deviation))
+        means = [float(part.mean()) for part in np.array_split(track.gauge_deviation, parts)]
+        return uncertainty.jump_share_long * float(np.std(means)) / math.sqrt(parts)
     return uncertainty.jump_mean_share * open_gauge_std(track.scale_std, float(np.median(track.gauge_deviation_std)))
 
 

@@ -170,7 +170,7 @@ def _plan(client: httpx.Client, rows: dict[str, dict[str, Any]], found: Compared
 
 
 def _terminal(client: httpx.Client, rows: dict[str, dict[str, Any]], folder: Path, found: Compared) -> None:
-    none = {"mileage_km": 0.0, "amplitude_mm": [0.0, 9.0], "equivalent_conicity": [0.0, 0.0]}
+    none = {"mileage_km": 0.0, "reprofilings": 0, "amplitude_mm": [0.0, 9.0], "equivalent_conicity": [0.0, 0.0]}
     truth = folder / "truth.json"
     truth.write_text(json.dumps({"wheelsets": [{"serial": serial, "campaigns": [none]} for serial in rows]}))
     service = ServiceAddress(str(client.base_url).rstrip("/"), None)
@@ -183,7 +183,8 @@ def _terminal(client: httpx.Client, rows: dict[str, dict[str, Any]], folder: Pat
                 [line.low, line.high],
                 state["conicity_1"]["interval_95"] or [None, None],
             )
-            found.same(f"{line.serial} terminal mileage", line.mileage_km, state["mileage_km"])
+            geometry = client.get(f"/v1/wheelsets/{line.serial}/geometry").raise_for_status().json()
+            found.same(f"{line.serial} terminal mileage", line.mileage_km, geometry["mileage_km"])
             p50 = state["distance_to_limit_km"]["p50"]
             if p50 is not None:
                 found.same(f"{line.serial} terminal distance", line.distance.split(" ")[0], rounded_km(p50))

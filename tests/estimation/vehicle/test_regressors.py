@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -141,7 +142,7 @@ def test_a_learnt_ratio_stands_for_creep_and_yaw_stiffness_in_the_yaw_equation_a
         "yaw_stiffness": 0.05,
         "yaw_inertia": 0.025,
         "spin_creep": 0.1,
-        "saturation": 3.0,
+        "saturation": math.hypot(3.3, 1.2),
         "noise": 0.0,
         "displacement_noise": 0.0,
     }
@@ -150,7 +151,7 @@ def test_a_learnt_ratio_stands_for_creep_and_yaw_stiffness_in_the_yaw_equation_a
         "yaw_stiffness": 0.01,
         "yaw_inertia": 0.025,
         "spin_creep": 0.1,
-        "saturation": 3.0,
+        "saturation": math.hypot(3.3, 1.2),
         "noise": 0.0,
         "displacement_noise": 0.0,
     }
