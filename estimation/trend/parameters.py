@@ -50,6 +50,10 @@ class CurveParameters:
     horizon_points: int = 240  # at which a limit may have been reached
     bend_nodes: tuple[float, ...] = (0.01, 0.15, 0.4, 1.0)  # change of slope over the observed span, in slopes
     bend_prior: tuple[float, ...] = (0.4, 0.2, 0.2, 0.2)
+    lengths_alone: tuple[float, ...] = (1.0,)  # over which a change of slope dies out, in observed spans
+    negligible_node: float = 1e-7  # of the weight of the heaviest: without it nothing changes that is shown
+    tail_factors: tuple[float, ...] = (1.0, 3.0, 10.0)  # a wheelset is like its fleet, less so, or has left it
+    tail_prior: tuple[float, ...] = (0.75, 0.2, 0.05)
     # change point
     noise_shares: tuple[float, float] = (0.02, 3.0)  # of the stated stds, that are tried
     noise_points: int = 9
@@ -58,3 +62,24 @@ class CurveParameters:
 
 
 CURVES = CurveParameters()
+
+
+@dataclass(frozen=True, slots=True)
+class FleetParameters:
+    """Numbers of what a fleet says of the wear of its wheelsets."""
+
+    lengths_km: tuple[float, ...] = (2.0e4, 8.0e4, 3.2e5)  # over which a change of rate dies out
+    wanderings: tuple[float, ...] = (3e-10, 1.2e-9, 5e-9)  # per km, of the rate, per square root of km
+    rate: float = 1.0e-6  # per km, of usual wear
+    rate_std: float = 1.2e-6
+    change_std: float = 1.0e-6
+    # between the wheelsets of a fleet, all as likely
+    rate_stds: tuple[float, ...] = (3e-8, 1e-7, 2e-7, 4e-7, 8e-7)  # per km
+    change_stds: tuple[float, ...] = (3e-8, 1e-7, 3e-7, 1e-6)  # per km
+    tail_share: float = 0.1  # of wheelsets that left their fleet
+    tail_factor: float = 3.0  # by which these are spread wider
+    rounds: int = 8
+    least_weight: float = 0.01  # of a component that is kept
+
+
+FLEET = FleetParameters()

@@ -40,6 +40,32 @@ class TrendStep:
 
 
 @dataclass(frozen=True, slots=True)
+class WearPrior(FrozenArrays):
+    """What a fleet says of the wear of one of its wheelsets beforehand, as a mixture.
+
+    The rate of wear is ``rate + change exp(-age / length)``, and wanders besides.
+    """
+
+    weight: Annotated[FloatArray, "n"]  # sums to 1
+    length: Annotated[FloatArray, "n"]  # km
+    mean: Annotated[FloatArray, "n", 2]  # rate and change, per km
+    covariance: Annotated[FloatArray, "n", 2, 2]
+    wandering: Annotated[FloatArray, "n"]  # std of the rate per square root of distance
+
+
+@dataclass(frozen=True, slots=True)
+class OwnWear(FrozenArrays):
+    """What the points of a wheelset alone say of rate and change of its wear, by length and wandering.
+
+    The log likelihood of both, t, is ``evidence + moment t - t information t / 2``.
+    """
+
+    information: Annotated[FloatArray, "n", 2, 2]
+    moment: Annotated[FloatArray, "n", 2]
+    evidence: Annotated[FloatArray, "n"]
+
+
+@dataclass(frozen=True, slots=True)
 class WearTrend(FrozenArrays):
     """An indicator since the last reprofiling or step, its robust slope, and when it reaches its limit."""
 
