@@ -27,7 +27,7 @@ from estimation.worklist.row import NO_GEOMETRY, REPROFILED
 _NO_POINTS = (
     *("quantity", "slope_per_1000_km", "slope_per_year", "fitted", "limit", "probability_over_limit", "status"),
     *("reason", "converged", "step", "distance_to_limit_km", "date_of_limit_ns", "not_comparable", "few_behind"),
-    *("ahead_km", "over_ahead", "raise_probability"),
+    *("ahead_km", "over_ahead", "raise_probability", "fleet", "origin_km"),
 )
 
 
@@ -38,6 +38,7 @@ class TrendPoints(Derived, of=WearTrend, without=_NO_POINTS):
     measured_at: list[Timestamp] = Field(description="When each point was measured.")
     value_1: list[float | None] = Field(description="Value of each point.")
     std_1: list[float | None] = Field(description="Standard deviation of each point.")
+    noise_1: list[float | None] = Field(description="Part of it that differs from point to point.")
 
 
 class DistanceForecast(Representation):
@@ -73,11 +74,11 @@ class TrendProvenance(Derived, of=TrendRecord, without=("wheelset", "baseline", 
 
 _OF_NOW = (
     *("limit", "distance_to_limit_km", "date_of_limit_ns", "probability_over_limit", "not_comparable", "few_behind"),
-    *("ahead_km", "over_ahead", "raise_probability"),
+    *("ahead_km", "over_ahead", "raise_probability", "fleet", "origin_km"),
 )
 
 
-class Trend(Derived, of=WearTrend, without=("mileage_km", "measured_ns", "value", "std", *_OF_NOW)):
+class Trend(Derived, of=WearTrend, without=("mileage_km", "measured_ns", "value", "std", "noise", *_OF_NOW)):
     """An indicator since the last reprofiling, its robust slope, and when it reaches its limit.
 
     What is said of the limit is as of `mileage_km`, and the same as in the worklist. Without a trend the numbers are

@@ -11,6 +11,7 @@ from estimation.jobs import (
     evaluate_alerts,
     refresh_adhesion,
     refresh_alignment,
+    refresh_fleet,
     refresh_geometry,
     refresh_rails,
     refresh_signatures,
@@ -23,6 +24,8 @@ from estimation.jobs.job import Job, JobContext, Work, run_job
 from estimation.jobs.refresh_adhesion import FIRST, OF_SECTIONS, OF_VEHICLES
 from estimation.jobs.refresh_adhesion import OF_WINDOWS as CREEP
 from estimation.jobs.refresh_alignment import ALIGNMENT
+from estimation.jobs.refresh_fleet import OF_ALL as FLEETS
+from estimation.jobs.refresh_fleet import OF_WHEELSETS as WEARS
 from estimation.jobs.refresh_geometry import GEOMETRY
 from estimation.jobs.refresh_rails import OF_ALL as RAILS
 from estimation.jobs.refresh_rails import OF_WHEELSETS as CELLS
@@ -43,6 +46,8 @@ ALL_STAGES: tuple[AnyStage, ...] = (
     CREEP,
     OF_VEHICLES,
     OF_SECTIONS,
+    WEARS,
+    FLEETS,
     TREND,
     JUMPS,
     IDENTITIES,
@@ -62,6 +67,7 @@ ALL_JOBS: tuple[Job, ...] = (
     estimate_windows.JOB,
     refresh_geometry.JOB,
     refresh_adhesion.JOB,
+    refresh_fleet.JOB,
     refresh_trends.JOB,
     evaluate_alerts.JOB,
     refresh_rails.JOB,

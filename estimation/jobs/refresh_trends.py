@@ -14,16 +14,27 @@ from estimation.jobs.steps.assumptions import identity_changes
 from estimation.storage import UnitOfWork
 from estimation.trend.change_point import CONICITY
 from estimation.trend.extrapolation import conicity_points
-from estimation.trend.parameters import CURVES
+from estimation.trend.fleet import usual_wear
+from estimation.trend.parameters import CURVES, FLEET
 from estimation.trend.trend import TrendParameters, behind_step, newest_step, refresh, with_step
 from estimation.values.geometry import GEOMETRY, IntervalConicities
-from estimation.values.registry import VehicleRecord
+from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.runs import Facet
+from estimation.values.trend import FLEET_WEAR, FleetWear, WearTrend, baseline_part, since_change
 from estimation.values.trend import TREND as TRENDS
-from estimation.values.trend import WearTrend, baseline_part, since_change
 
-NUMBERS = (CURVES, CONICITY)
+NUMBERS = (CURVES, CONICITY, FLEET)
 METHOD = made_from(*NUMBERS)[:16]
+
+
+@dataclass(frozen=True, slots=True)
+class TrendHistory:
+    """The conicities that a trend is made from, and how its points are chosen."""
+
+    # of the intervals with windows since the last reprofiling and the last change of identity
+    conicities: tuple[IntervalConicities, ...]
+    turned_km: float  # mileage of the last reprofiling; 0 of a wheelset as it was new
+    parameters: TrendParameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,49 +42,73 @@ class TrendInputs:
     """What the trend of a wheelset is made from."""
 
     baseline: int
-    # of the intervals with windows since the last reprofiling and the last change of identity
-    conicities: tuple[IntervalConicities, ...]
+    history: TrendHistory
     limit: float | None  # of the conicity at 3 mm, in the vehicle it runs in or ran in last; None where there is none
-    parameters: TrendParameters
+    fleet: FleetWear  # what is known of its wear beforehand
     raise_probability: float | None = None  # of the rule that has the limit
 
 
 def load(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mapping[str, TrendInputs]:
     """Return what the trends of some wheelsets are made from."""
-    vehicles, changes = _vehicles(unit, serials), identity_changes(unit, serials)
-    wheelsets = unit.registry.wheelsets_of(serials)
-    intervals = unit.geometries.conicities_of({wheelset.serial: len(wheelset.reprofilings) for wheelset in wheelsets})
+    vehicles = vehicles_of(unit, serials)
+    fleets = beforehand(unit, serials)
     inputs = {}
-    for wheelset in wheelsets:
-        serial, baseline, vehicle = wheelset.serial, len(wheelset.reprofilings), vehicles.get(wheelset.serial)
-        conicities = since_change(intervals[serial], changes.get(serial))
+    for serial, (wheelset, history) in histories(unit, serials, context).items():
+        vehicle = vehicles[serial][0] if serial in vehicles else None
         rules = None if vehicle is None else context.settings.rules.of(wheelset.fleet, vehicle.vehicle_class)
         rule = None if rules is None else rules.rule(ConicityLimitRule)
         inputs[serial] = TrendInputs(
-            baseline=baseline,
-            conicities=tuple(entry for entry in conicities if entry.windows),  # others were followed by empty ones
+            baseline=len(wheelset.reprofilings),
+            history=history,
             limit=None if rule is None or vehicle is None else rule.limit_for(vehicle),
-            parameters=context.settings.trend,
+            fleet=fleets[serial],
             raise_probability=None if rule is None else rule.raise_probability,
         )
     return inputs
 
 
-def _vehicles(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, VehicleRecord]:
-    """Return the vehicle that each wheelset runs in, or ran in last."""
+def histories(
+    unit: UnitOfWork, serials: Sequence[str], context: JobContext
+) -> Mapping[str, tuple[WheelsetRecord, TrendHistory]]:
+    """Return what the points of trends are made from, of the present profile of each of some wheelsets."""
+    wheelsets, changes = unit.registry.wheelsets_of(serials), identity_changes(unit, serials)
+    intervals = unit.geometries.conicities_of({wheelset.serial: len(wheelset.reprofilings) for wheelset in wheelsets})
+    found = {}
+    for wheelset in wheelsets:
+        conicities = since_change(intervals[wheelset.serial], changes.get(wheelset.serial))
+        with_windows = tuple(entry for entry in conicities if entry.windows)  # others were followed by empty ones
+        turned = turned_km(wheelset, len(wheelset.reprofilings))
+        found[wheelset.serial] = (wheelset, TrendHistory(with_windows, turned, context.settings.trend))
+    return found
+
+
+def turned_km(wheelset: WheelsetRecord, baseline: int) -> float:
+    """Return the mileage at which the profile of a baseline began to wear: its reprofiling, or 0 as it was new."""
+    return wheelset.reprofilings[baseline - 1].mileage_km if baseline else 0.0
+
+
+def beforehand(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, FleetWear]:
+    """Return what is known of the wear of some wheelsets beforehand, by their fleets or of any."""
+    said = {result.subject: result.value for result in unit.results.in_force(FLEET_WEAR, serials)}
+    return {serial: said.get(serial) or usual_wear() for serial in serials}
+
+
+def vehicles_of(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, tuple[VehicleRecord, int]]:
+    """Return the vehicle that each wheelset runs in, or ran in last, and its axle there."""
     last = {
         serial: next((mounting for mounting in mountings if mounting.to_ns is None), mountings[-1])
         for serial, mountings in unit.registry.mountings_of(serials).items()
     }
     vehicles = unit.registry.vehicles_of({mounting.vehicle for mounting in last.values()})
-    return {serial: vehicles[mounting.vehicle] for serial, mounting in last.items()}
+    return {serial: (vehicles[mounting.vehicle], mounting.axle) for serial, mounting in last.items()}
 
 
 def compute(inputs: TrendInputs) -> Outcome[WearTrend]:
     """Return the trend, where a limit is in force."""
     if inputs.limit is None:
         return Outcome(counted="without_limit")
-    trend = trend_of(inputs.conicities, inputs.limit, inputs.parameters)
+    history = inputs.history
+    trend = trend_of(history.conicities, inputs.limit, history.parameters, inputs.fleet, history.turned_km)
     if inputs.raise_probability is not None:
         trend = replace(trend, raise_probability=inputs.raise_probability)
     part = Part(
@@ -82,13 +117,24 @@ def compute(inputs: TrendInputs) -> Outcome[WearTrend]:
         status=trend.status,
         reason=trend.reason,
         head=trend.head,
-        parameters={**asdict(inputs.parameters), "method": METHOD},
+        parameters={**asdict(history.parameters), "method": METHOD},
     )
     return Outcome([part])
 
 
-def trend_of(records: Sequence[IntervalConicities], limit: float, parameters: TrendParameters) -> WearTrend:
-    """Return the trend of the conicities of intervals, since their newest step, against the limit at 3 mm."""
+def trend_of(
+    records: Sequence[IntervalConicities],
+    limit: float,
+    parameters: TrendParameters,
+    fleet: FleetWear | None = None,
+    turned_km: float | None = None,
+) -> WearTrend:
+    """Return the trend of the conicities of intervals, since their newest step, against the limit at 3 mm.
+
+    Args:
+        fleet: What is known of the wear beforehand; None for nothing.
+        turned_km: Mileage of the last reprofiling; None where nobody knows it.
+    """
     step = newest_step(records, parameters)
     chosen = conicity_points(behind_step(records, step))
     trend = refresh(
@@ -97,8 +143,9 @@ def trend_of(records: Sequence[IntervalConicities], limit: float, parameters: Tr
         parameters,
         quantity=chosen.quantity,
         note=chosen.note,
-        shared_std=chosen.spread,
         not_comparable=chosen.not_comparable,
+        fleet=fleet,
+        origin_km=turned_km if step is None else step.before_km,
     )
     return trend if step is None else with_step(trend, step)
 
@@ -107,7 +154,7 @@ TREND = Stage(
     name=TRENDS.stage,
     job="refresh_trends",
     kind=TRENDS.subject,
-    facets=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage),
+    facets=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage, FLEET_WEAR.stage),
     settings=lambda settings: (settings.trend, settings.rules.version),
     load=load,
     compute=compute,

@@ -22,7 +22,7 @@ from estimation.alerts.rules.conicity_limit import ConicityLimitRule
 from estimation.alerts.rules.rule import WheelsetFacts, within_reach
 from estimation.alerts.rules.running_gear import LowAdhesionRule, SuspensionChangeRule, WeakDamperRule
 from estimation.alerts.rules.sensor_data import NoDataRule
-from estimation.jobs.refresh_trends import trend_of
+from estimation.jobs.refresh_trends import beforehand, trend_of, turned_km
 from estimation.jobs.steps.assumptions import identity_change
 from estimation.jobs.steps.wheelset_facts import hunted_beside, newest_mileage, windows_wanted
 from estimation.jobs.steps.window_creep import friction_parameters, pool_ends, pooled_ns
@@ -31,7 +31,7 @@ from estimation.trend.trend import TrendParameters, behind_step
 from estimation.values.alerts import Alert, Condition, Transition
 from estimation.values.geometry import GeometryRecord, IntervalConicities, interval_conicities
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
-from estimation.values.trend import IDENTITY, IdentityChange, TrendRecord, WearTrend, since_change
+from estimation.values.trend import IDENTITY, FleetWear, IdentityChange, TrendRecord, WearTrend, since_change
 from estimation.values.units import DAY_NS
 from estimation.values.windows import WindowRecord, WindowState
 
@@ -55,6 +55,7 @@ class History:
     interval_ends: Sequence[int]
     conicities: Sequence[IntervalConicities]
     hunted: Mapping[str, frozenset[int]]  # by vehicle, starts of windows
+    fleet: FleetWear  # what is known of its wear beforehand
 
 
 def history_of(unit: UnitOfWork, serial: str) -> History:
@@ -76,6 +77,7 @@ def history_of(unit: UnitOfWork, serial: str) -> History:
         interval_ends=[interval.to_ns for interval in intervals],
         conicities=[interval_conicities(interval) for interval in intervals],
         hunted={mounting.vehicle: hunted_beside(unit, mounting.vehicle, windows) for mounting in mountings},
+        fleet=beforehand(unit, [serial])[serial],
     )
 
 
@@ -86,7 +88,9 @@ def replayed(history: History, book: RuleBook, span: tuple[int, int]) -> list[Al
     def trends(records: Sequence[IntervalConicities], limit: float) -> WearTrend:
         key = (records[-1].baseline, len(records), limit)
         if key not in kept:
-            kept[key] = trend_of(records, limit, TrendParameters())
+            kept[key] = trend_of(
+                records, limit, TrendParameters(), history.fleet, turned_km(history.wheelset, records[-1].baseline)
+            )
         return kept[key]
 
     standing: dict[str, Alert] = {}

@@ -41,6 +41,7 @@ class Extrapolation:
 
     value: float
     measured_std: float  # from the error of what was estimated
+    noise: float  # part of that which differs from interval to interval
     spread: float  # std of what wheelsets like it do beyond
     beyond: tuple[float, ...]  # what they do, less the mean: as many values of equal weight
 
@@ -117,7 +118,7 @@ def _extrapolated(points: tuple[KnownConicity, ...], family: WornFamily) -> Extr
     steps[0, 0] = 1.0
     members = np.stack([_at(family, point.amplitude) for point in used], axis=1)
     error = (members - [point.value for point in used]) @ steps.T
-    covariance = steps @ _covariance(used) @ steps.T
+    covariance, noise = (steps @ _covariance(used, of) @ steps.T for of in ("std", "noise"))
     # by how much level and slopes of a member may differ
     alike = max(CURVES.least_alike_difference, CURVES.alike_share * largest.value) * np.array(
         [1.0] + [CURVES.slope_alike_share] * (len(used) - 1)
@@ -128,9 +129,10 @@ def _extrapolated(points: tuple[KnownConicity, ...], family: WornFamily) -> Extr
     weight, width = weighed
     counts = weight > CURVES.negligible_weight
     weight, change = weight[counts], (_at(family, LIMIT_AMPLITUDE) - members[:, 0])[counts]
-    level, measured_std, rest = _local_fit(error[counts], covariance, width, weight, change)
+    level, gradient, rest = _local_fit(error[counts], width, weight, change)
     spread = float(np.sqrt(weight @ rest**2 / weight.sum()))
-    result = Extrapolation(largest.value + level, measured_std, spread, _quantiles(rest, weight))
+    measured_std, noise_std = (float(np.sqrt(gradient @ of @ gradient)) for of in (covariance, noise))
+    result = Extrapolation(largest.value + level, measured_std, noise_std, spread, _quantiles(rest, weight))
     return result if result.std <= CURVES.largest_conicity_std and result.value > 0.0 else None
 
 
@@ -148,8 +150,8 @@ def _at(family: WornFamily, amplitude: float) -> FloatArray:
     return np.asarray((1.0 - share) * family.conicity[:, upper - 1] + share * family.conicity[:, upper])
 
 
-def _covariance(shown: Sequence[KnownConicity]) -> FloatArray:
-    amplitude, std = (np.array([getattr(conicity, name) for conicity in shown]) for name in ("amplitude", "std"))
+def _covariance(shown: Sequence[KnownConicity], of: str) -> FloatArray:
+    amplitude, std = (np.array([getattr(conicity, name) for conicity in shown]) for name in ("amplitude", of))
     near = np.exp(-np.abs(np.subtract.outer(amplitude, amplitude)) / CURVES.near_amplitude)
     return np.asarray(np.outer(std, std) * (CURVES.shared_error_share + (1.0 - CURVES.shared_error_share) * near))
 
@@ -181,9 +183,9 @@ def _alike(
 
 
 def _local_fit(
-    error: FloatArray, covariance: FloatArray, width: FloatArray, weight: FloatArray, change: FloatArray
-) -> tuple[float, float, FloatArray]:
-    """Return the change up to the limit's amplitude, its std from the estimate's error, and what is left (m,)."""
+    error: FloatArray, width: FloatArray, weight: FloatArray, change: FloatArray
+) -> tuple[float, FloatArray, FloatArray]:
+    """Return the change up to the limit's amplitude, what it does with level and slopes (n,), and what is left (m,)."""
     # the changes (m,) are fitted as linear in level and slopes (m, n), by the weights (m,)
     design = np.column_stack([np.ones(len(error)), error / width])
     normal = (design * weight[:, np.newaxis]).T @ design + CURVES.ridge_weight * np.diag([0.0] + [1.0] * len(width))
@@ -191,7 +193,7 @@ def _local_fit(
     rest = change - design @ np.array([level, *slopes])
     gradient = np.array(slopes) / width
     gradient[0] += 1.0
-    return float(level), float(np.sqrt(gradient @ covariance @ gradient)), rest
+    return float(level), gradient, rest
 
 
 def _quantiles(rest: FloatArray, weight: FloatArray) -> tuple[float, ...]:
@@ -212,15 +214,13 @@ _Covered = tuple[IntervalConicities, Mapping[int, KnownConicity]]  # with its co
 class TrendPoints:
     """Points of one quantity, and a note where they are extrapolated, at another amplitude, or intervals were left out.
 
-    ``spread`` is what the points have in common of the error of extrapolation. ``not_comparable`` says why no limit is
-    held against them; None where one is.
+    ``not_comparable`` says why no limit is held against them; None where one is.
     """
 
     quantity: str
     amplitude: float  # m, of the points
     points: tuple[TrendPoint, ...]
     note: Reason | None
-    spread: float = 0.0
     not_comparable: Reason | None = None
 
 
@@ -267,8 +267,7 @@ def _extrapolated_points(having: Sequence[_Covered], chosen: int, notes: Sequenc
         return None
     points = tuple(_point(record, extrapolation) for record, extrapolation in extrapolations)
     note = combined([extrapolated_from(chosen * SAME_AMPLITUDE), *notes])
-    spread = max(extrapolation.spread for _, extrapolation in extrapolations)
-    return TrendPoints(QUANTITY, LIMIT_AMPLITUDE, points, note, spread)
+    return TrendPoints(QUANTITY, LIMIT_AMPLITUDE, points, note)
 
 
 def _amplitude(covered: Sequence[Mapping[int, KnownConicity]]) -> int:
@@ -287,7 +286,8 @@ def by_amplitude(record: IntervalConicities) -> dict[int, KnownConicity]:
 
 
 def _point(record: IntervalConicities, conicity: KnownConicity | Extrapolation) -> TrendPoint:
-    return TrendPoint(record.mileage_km, (record.from_ns + record.to_ns) // 2, conicity.value, conicity.std)
+    at_ns = (record.from_ns + record.to_ns) // 2
+    return TrendPoint(record.mileage_km, at_ns, conicity.value, conicity.std, conicity.noise)
 
 
 TABLE = "worn_family.npy"  # written by ``python -m bench.worn_family``

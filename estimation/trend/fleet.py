@@ -2,25 +2,32 @@
 
 Of each wheelset stands what its points alone say of rate and change (:class:`OwnWear`), for every length over which a
 change may die out and every strength of wandering. Rate and change of the wheelsets of a fleet are normal about a mean,
-with a spread; a wheelset that is far off counts less. Mean and spread have a weakly informed prior, and are averaged over a
-grid by the marginal likelihood of the other wheelsets: what one is told never rests on its own points.
+with a spread; a wheelset that is far off counts less. Mean and spread have a weakly informed prior, and are averaged
+over a grid by the marginal likelihood of the other wheelsets: what one is told never rests on its own points.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
+from scipy.special import xlogy
 
-from estimation.trend.parameters import FLEET, FleetParameters
+from estimation.trend.parameters import CURVES, FLEET, FleetParameters
 from estimation.trend.wear_curve import robust_points
 from estimation.values.arrays import FloatArray, IntArray
-from estimation.values.trend import OwnWear, WearPrior
+from estimation.values.trend import FleetWear, OwnWear, WearComponent
 
 
 def own_wear(
-    x: FloatArray, value: FloatArray, std: FloatArray, origin: float | None = None, params: FleetParameters = FLEET
+    x: FloatArray,
+    value: FloatArray,
+    std: FloatArray,
+    origin: float | None = None,
+    amplitude: float = CURVES.limit_amplitude,
+    params: FleetParameters = FLEET,
 ) -> OwnWear:
     """Return what points (k,) alone say of rate and change, x in km, for a wheelset whose wear began at ``origin``."""
     points, share, variance = robust_points(x, value, std, origin)
@@ -42,7 +49,7 @@ def own_wear(
             log_size = np.log(np.diagonal(factor)).sum() + 0.5 * np.log(norm)
             evidence.append(-log_size - 0.5 * float(rest[:, 2] @ rest[:, 2]))
     best = max(evidence)
-    return OwnWear(np.array(information), np.array(moment), np.array(evidence) - best)
+    return OwnWear(amplitude, np.array(information), np.array(moment), np.array(evidence) - best)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,35 +67,44 @@ def _grid(params: FleetParameters) -> _Grid:
     return _Grid(np.repeat(np.arange(kinds), len(of_rate)), np.tile(spread, (kinds, 1, 1)))
 
 
-def fleet_priors(fleet: Sequence[OwnWear], params: FleetParameters = FLEET) -> list[WearPrior]:
+def fleet_priors(fleet: Sequence[OwnWear], params: FleetParameters = FLEET) -> list[FleetWear]:
     """Return what the other wheelsets of a fleet say of each; of one alone only what is known of wear."""
     grid = _grid(params)
-    prior = np.diag(np.array([params.rate_std, params.change_std]) ** -2.0)
-    at = prior @ np.array([params.rate, 0.0])
-    count = len(grid.wear)
-    if fleet:
-        S = np.stack([own.information for own in fleet])[:, grid.wear]  # (w, g, 2, 2)
-        h = np.stack([own.moment for own in fleet])[:, grid.wear]
-        evidence = np.stack([own.evidence for own in fleet])[:, grid.wear]
-    wider = params.tail_factor**2
-    near, far = (_marginal(S, h, evidence, grid.spread * factor) for factor in (1.0, wider))
+    S, h, evidence = (np.stack([getattr(own, name) for own in fleet])[:, grid.wear] for name in _OF_WEAR)
+    precision, pull = _of_mean(grid, params)
+    near, far = (_marginal(S, h, evidence, grid.spread * wider**2) for wider in (1.0, params.tail_factor))
     # how far each wheelset is of the fleet (w, g): expectation-maximisation about the common mean
-    like = np.ones((len(fleet), count))
+    like = np.ones(evidence.shape)
     for _ in range(params.rounds):
-        T = like[..., None, None] * near[0] + (1.0 - like)[..., None, None] * far[0]
-        v = like[..., None] * near[1] + (1.0 - like)[..., None] * far[1]
-        mean = np.linalg.solve(prior + T.sum(axis=0), (at + v.sum(axis=0))[..., None])[..., 0]
+        T = (like[..., None, None] * near[0] + (1.0 - like)[..., None, None] * far[0]).sum(axis=0)
+        v = (like[..., None] * near[1] + (1.0 - like)[..., None] * far[1]).sum(axis=0)
+        mean = np.linalg.solve(precision + T, (pull + v)[..., None])[..., 0]
         odds = np.log(params.tail_share / (1.0 - params.tail_share)) + _log_at(far, mean) - _log_at(near, mean)
         like = 1.0 / (1.0 + np.exp(np.clip(odds, -500.0, 500.0)))
     T = like[..., None, None] * near[0] + (1.0 - like)[..., None, None] * far[0]
     v = like[..., None] * near[1] + (1.0 - like)[..., None] * far[1]
-    c = like * near[2] + (1.0 - like) * far[2]
-    c += -(like * np.log(np.maximum(like, 1e-300)) + (1 - like) * np.log(np.maximum(1 - like, 1e-300)))
-    c += like * np.log(1.0 - params.tail_share) + (1.0 - like) * np.log(params.tail_share)
-    return [
-        _merged(grid, prior + T.sum(axis=0) - T[one], at + v.sum(axis=0) - v[one], c.sum(axis=0) - c[one], params)
-        for one in range(len(fleet))
-    ]
+    c = like * (near[2] + np.log1p(-params.tail_share)) + (1.0 - like) * (far[2] + np.log(params.tail_share))
+    c -= xlogy(like, like) + xlogy(1.0 - like, 1.0 - like)
+    T, v, c = precision + T.sum(axis=0) - T, pull + v.sum(axis=0) - v, c.sum(axis=0) - c  # of all others
+    return [FleetWear(_merged(grid, T[w], v[w], c[w], params), len(fleet) - 1) for w in range(len(fleet))]
+
+
+_OF_WEAR = ("information", "moment", "evidence")
+
+
+@cache
+def usual_wear(params: FleetParameters = FLEET) -> FleetWear:
+    """Return what is known of the wear of a wheelset without a fleet."""
+    grid = _grid(params)
+    precision, pull = _of_mean(grid, params)
+    return FleetWear(_merged(grid, precision, pull, np.zeros(len(grid.wear)), params), 0)
+
+
+def _of_mean(grid: _Grid, params: FleetParameters) -> tuple[FloatArray, FloatArray]:
+    """Return precision (g, 2, 2) and pull (g, 2) of the mean of a fleet, before any of its wheelsets is known."""
+    precision = np.diag(np.array([params.rate_std, params.change_std]) ** -2.0)
+    count = len(grid.wear)
+    return np.tile(precision, (count, 1, 1)), np.tile(precision @ np.array([params.rate, 0.0]), (count, 1))
 
 
 def _marginal(
@@ -105,10 +121,13 @@ def _marginal(
 
 def _log_at(of: tuple[FloatArray, FloatArray, FloatArray], mean: FloatArray) -> FloatArray:
     T, v, constant = of
-    return constant + np.einsum("wgi,gi->wg", v, mean) - 0.5 * np.einsum("gi,wgij,gj->wg", mean, T, mean)
+    square = np.einsum("gi,wgij,gj->wg", mean, T, mean)
+    return np.asarray(constant + np.einsum("wgi,gi->wg", v, mean) - 0.5 * square)
 
 
-def _merged(grid: _Grid, T: FloatArray, v: FloatArray, constant: FloatArray, params: FleetParameters) -> WearPrior:
+def _merged(
+    grid: _Grid, T: FloatArray, v: FloatArray, constant: FloatArray, params: FleetParameters
+) -> tuple[WearComponent, ...]:
     """Return the prior by length and wandering, over which the spreads are averaged."""
     covariance = np.linalg.inv(T)
     mean = (covariance @ v[..., None])[..., 0]
@@ -116,16 +135,44 @@ def _merged(grid: _Grid, T: FloatArray, v: FloatArray, constant: FloatArray, par
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
     of_wear = [np.flatnonzero(grid.wear == kind) for kind in range(int(grid.wear.max()) + 1)]
-    rows = []
-    for kind, nodes in enumerate(of_wear):
-        total = float(weight[nodes].sum())
-        if total < params.least_weight:
-            continue
-        part = weight[nodes] / total
+    totals = np.array([weight[nodes].sum() for nodes in of_wear])
+    kept = np.flatnonzero(totals >= params.least_weight)
+    shares = _rounded_shares(totals[kept] / totals[kept].sum(), params)
+    components = []
+    for kind, share in zip(kept.tolist(), shares, strict=True):
+        nodes = of_wear[kind]
+        part = weight[nodes] / totals[kind]
         centre = part @ mean[nodes]
         off = mean[nodes] - centre
         within = np.einsum("g,gij->ij", part, covariance[nodes] + grid.spread[nodes]) + (off * part[:, None]).T @ off
         length, wandering = divmod(kind, len(params.wanderings))
-        rows.append((total, params.lengths_km[length], centre, within, params.wanderings[wandering]))
-    total, length, centre, within, wandering = (np.array(column) for column in zip(*rows, strict=True))
-    return WearPrior(total / total.sum(), length, centre, within, wandering)
+        about = (params.lengths_km[length], params.wanderings[wandering])
+        components.append(_rounded(share, centre, within, about, params))
+    return tuple(component for component in components if component.weight > 0.0)
+
+
+def _rounded_shares(shares: FloatArray, params: FleetParameters) -> list[float]:
+    rounded = np.round(shares / params.share_step)
+    return [float(share) for share in rounded / rounded.sum()]
+
+
+def _rounded(
+    share: float, mean: FloatArray, covariance: FloatArray, about: tuple[float, float], params: FleetParameters
+) -> WearComponent:
+    """Return a component rounded in steps of its spread, so that few points more leave it as it was."""
+    stds = np.sqrt(np.diag(covariance))
+    steps = np.round(np.log2(stds) * params.std_steps)
+    rounded = 2.0 ** (steps / params.std_steps)
+    rate, change = np.round(mean / rounded * params.mean_steps) * rounded / params.mean_steps
+    correlation = np.round(covariance[0, 1] / stds.prod() / params.share_step) * params.share_step
+    limit = 1.0 - params.share_step
+    return WearComponent(
+        weight=share,
+        length=about[0],
+        rate=float(rate),
+        change=float(change),
+        rate_std=float(rounded[0]),
+        change_std=float(rounded[1]),
+        correlation=float(np.clip(correlation, -limit, limit)),
+        wandering=about[1],
+    )

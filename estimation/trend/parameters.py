@@ -69,7 +69,7 @@ class FleetParameters:
     """Numbers of what a fleet says of the wear of its wheelsets."""
 
     lengths_km: tuple[float, ...] = (2.0e4, 8.0e4, 3.2e5)  # over which a change of rate dies out
-    wanderings: tuple[float, ...] = (3e-10, 1.2e-9, 5e-9)  # per km, of the rate, per square root of km
+    wanderings: tuple[float, ...] = (5e-11, 3e-10, 1.5e-9, 6e-9)  # per km, of the rate, per square root of km
     rate: float = 1.0e-6  # per km, of usual wear
     rate_std: float = 1.2e-6
     change_std: float = 1.0e-6
@@ -80,6 +80,11 @@ class FleetParameters:
     tail_factor: float = 3.0  # by which these are spread wider
     rounds: int = 8
     least_weight: float = 0.01  # of a component that is kept
+    # what is said is rounded, so that a few points more of one wheelset leave the trends of the others as they are
+    share_step: float = 0.02
+    std_steps: float = 4.0  # in a doubling
+    mean_steps: float = 8.0  # in a std
+    least_others: int = 4  # wheelsets that are asked before those that are less alike
 
 
 FLEET = FleetParameters()

@@ -8,7 +8,7 @@ Model, with ``a`` the distance or time since the profile began to wear::
 The rate goes from one at the begin to a lasting one: wear that saturates, accelerates or runs in is carried on, damped,
 into the forecast. The rate wanders besides, as a random walk (at knots before the last point, continuously after it),
 so that a forecast far beyond what was observed is wide. Rate and change have a prior from the fleet
-(``estimation.trend.fleet``), or none: the rate is then flat, and the change is in shares of a pilot slope. Extra scatter
+(``estimation.trend.fleet``), or none: the rate is then flat, the change in shares of a pilot slope. Extra scatter
 ``tau`` covers standard deviations that were too small. Outliers are noise from a second, ten times wider normal;
 ``lambda_i`` is the precision this leaves each point (expectation-maximisation). ``tau``, lengths, wandering and the
 components of the prior are averaged over a grid by their marginal likelihood, so every result is a mixture of normals:
@@ -17,7 +17,8 @@ quantiles come from its distribution function, without random numbers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from scipy.optimize import brentq
@@ -26,7 +27,7 @@ from scipy.special import ndtr
 from estimation.trend.parameters import CURVES
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.mixture import NormalMixture
-from estimation.values.trend import WearPrior
+from estimation.values.trend import WearComponent
 from estimation.values.units import STD_PER_MAD
 
 
@@ -135,7 +136,11 @@ class Shapes:
 
 
 def fit_wear_curve(
-    x: FloatArray, value: FloatArray, std: FloatArray, prior: WearPrior | None = None, origin: float | None = None
+    x: FloatArray,
+    value: FloatArray,
+    std: FloatArray,
+    prior: Sequence[WearComponent] | None = None,
+    origin: float | None = None,
 ) -> WearCurve:
     """Fit the curve to points (k,), x not decreasing, std above 0; its level and slope are those at ``x[-1]``.
 
@@ -170,9 +175,11 @@ class _Shares:
     converged: bool
 
 
-def _robust(points: ScaledPoints, prior: WearPrior | None) -> _Shares:
+def _robust(points: ScaledPoints, prior: Sequence[WearComponent] | None) -> _Shares:
     pilot_slope, pilot_std, residual = _pilot(points)
-    inflation = max(1.0, _weighted_median(np.abs(residual) / np.sqrt(points.variance), np.ones(len(points.x))) * STD_PER_MAD)
+    inflation = max(
+        1.0, _weighted_median(np.abs(residual) / np.sqrt(points.variance), np.ones(len(points.x))) * STD_PER_MAD
+    )
     share = _shares(residual, points.variance * inflation**2)
     scatter, scatter_prior = _scatter_grid(residual)
     shapes = _alone(points, float(np.hypot(pilot_slope, pilot_std))) if prior is None else _of_fleet(points, prior)
@@ -227,27 +234,30 @@ def _alone(points: ScaledPoints, slope: float) -> Shapes:
     )
 
 
-def _of_fleet(points: ScaledPoints, prior: WearPrior) -> Shapes:
+def _of_fleet(points: ScaledPoints, prior: Sequence[WearComponent]) -> Shapes:
     """Return the prior of a fleet in units of the points: a wheelset is like it, less so, or has left it."""
     rise = points.unit / points.span
-    lengths, which = np.unique(prior.length / points.span, return_inverse=True)
-    wider = np.array(CURVES.tail_factors)
-    covariance = (prior.covariance[:, None] * wider[None, :, None, None] ** 2).reshape(-1, 2, 2) / rise**2
+    columns = np.array([astuple(component) for component in prior]).T
+    weight, length, rate, change, rate_std, change_std, correlation, wandering = columns
+    lengths, which = np.unique(length / points.span, return_inverse=True)
+    stds = np.stack([rate_std, change_std], axis=1) / rise
+    correlated = np.where(np.eye(2, dtype=bool), 1.0, correlation[:, None, None])
+    covariance = stds[:, :, None] * stds[:, None, :] * correlated
+    wider = np.array(CURVES.tail_factors) ** 2
     count = len(wider)
     return Shapes(
-        weight=np.outer(prior.weight, CURVES.tail_prior).ravel(),
+        weight=np.outer(weight, CURVES.tail_prior).ravel(),
         lengths=lengths,
         which=np.repeat(which, count),
-        precision=np.linalg.inv(covariance),
-        mean=np.repeat(prior.mean / rise, count, axis=0),
-        wandering=np.repeat(prior.wandering * np.sqrt(points.span) / rise, count),
+        precision=np.linalg.inv((covariance[:, None] * wider[:, None, None]).reshape(-1, 2, 2)),
+        mean=np.repeat(np.stack([rate, change], axis=1) / rise, count, axis=0),
+        wandering=np.repeat(wandering * np.sqrt(points.span) / rise, count),
     )
 
 
 def _damped(u: FloatArray) -> FloatArray:
     """Return the integral of a change of slope that is 0 at u = 0 and goes to 1 as 1 - exp(-u)."""
     return u - 1.0 + np.exp(-u)
-
 
 
 def _pilot(points: ScaledPoints) -> tuple[float, float, FloatArray]:
@@ -337,10 +347,7 @@ def solve(
     log_prior = 0.5 * len(hinges) * np.log(hinge) - 0.5 * np.einsum("ni,ni->n", pull, shapes.mean)
     log_prior += 0.5 * np.log(np.where(proper, np.linalg.det(shapes.precision), shapes.precision[:, 1, 1]))
     log_likelihood = (
-        0.5 * (np.log(information).sum(axis=1) - energy)[:, None]
-        + log_prior
-        - log_size
-        + 0.5 * np.sum(half**2, axis=2)
+        0.5 * (np.log(information).sum(axis=1) - energy)[:, None] + log_prior - log_size + 0.5 * np.sum(half**2, axis=2)
     )
     weight = np.outer(scatter_prior, shapes.weight) * np.exp(log_likelihood - log_likelihood.max())
     weight /= weight.sum()

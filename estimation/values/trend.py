@@ -7,7 +7,7 @@ alert rule of this kind and kept in the evidence of its alerts. Data from both s
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Annotated, Protocol, TypeVar
 
@@ -40,29 +40,54 @@ class TrendStep:
 
 
 @dataclass(frozen=True, slots=True)
-class WearPrior(FrozenArrays):
-    """What a fleet says of the wear of one of its wheelsets beforehand, as a mixture.
-
-    The rate of wear is ``rate + change exp(-age / length)``, and wanders besides.
-    """
-
-    weight: Annotated[FloatArray, "n"]  # sums to 1
-    length: Annotated[FloatArray, "n"]  # km
-    mean: Annotated[FloatArray, "n", 2]  # rate and change, per km
-    covariance: Annotated[FloatArray, "n", 2, 2]
-    wandering: Annotated[FloatArray, "n"]  # std of the rate per square root of distance
-
-
-@dataclass(frozen=True, slots=True)
 class OwnWear(FrozenArrays):
     """What the points of a wheelset alone say of rate and change of its wear, by length and wandering.
 
     The log likelihood of both, t, is ``evidence + moment t - t information t / 2``.
     """
 
+    amplitude: float  # m, of the conicities
     information: Annotated[FloatArray, "n", 2, 2]
     moment: Annotated[FloatArray, "n", 2]
     evidence: Annotated[FloatArray, "n"]
+
+
+@dataclass(frozen=True, slots=True)
+class WearComponent:
+    """One of the ways in which wheelsets of a fleet wear: at ``rate + change exp(-age / length)``, which wanders."""
+
+    weight: float
+    length: float  # km
+    rate: float  # per km
+    change: float  # per km
+    rate_std: float
+    change_std: float
+    correlation: float
+    wandering: float  # std of the rate, per km, per square root of km
+
+    def per(self, distance: float) -> WearComponent:
+        """Return it with another unit of distance, of so many km."""
+        return replace(
+            self,
+            length=self.length / distance,
+            rate=self.rate * distance,
+            change=self.change * distance,
+            rate_std=self.rate_std * distance,
+            change_std=self.change_std * distance,
+            wandering=self.wandering * distance**1.5,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class FleetWear:
+    """What other wheelsets of its fleet say of the wear of one beforehand."""
+
+    components: tuple[WearComponent, ...]
+    others: int  # wheelsets that say it
+
+
+OWN_WEAR = ResultKind("own_wear", SubjectKind.WHEELSET, OwnWear, History.NEWEST)
+FLEET_WEAR = ResultKind("fleet_wear", SubjectKind.WHEELSET, FleetWear, History.NEWEST)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +99,7 @@ class WearTrend(FrozenArrays):
     measured_ns: Annotated[IntArray, "k", Served(name="measured_at")]
     value: Annotated[FloatArray, "k", Served(name="value_1")]
     std: Annotated[FloatArray, "k", Served(name="std_1")]
+    noise: Annotated[FloatArray, "k", Served("Part of it that differs from point to point.", "noise_1")]
     slope_per_1000_km: Annotated[Estimate, Served("Change per 1,000 km.", "slope_1_per_1000_km")]
     slope_per_year: Annotated[Estimate, Served("Change per year.", "slope_1_per_year")]
     fitted: Annotated[Estimate, Served("The fitted curve at the last point, at the mileage of that point.", "fitted_1")]
@@ -97,6 +123,8 @@ class WearTrend(FrozenArrays):
     few_behind: Reason | None = None  # why nothing is forecast: too few points behind the step; None where enough are
     ahead_km: Annotated[FloatArray, "a"] = field(default_factory=lambda: np.empty(0))  # from the last point, increasing
     over_ahead: Annotated[FloatArray, "a"] = field(default_factory=lambda: np.empty(0))  # P over the limit there
+    fleet: FleetWear | None = None  # what was known of its wear beforehand; None for nothing
+    origin_km: float | None = None  # mileage at which the profile began to wear; None is that of the first point
     raise_probability: float = 0.9  # of the rule on the limit: from it on the last points count by themselves
 
     @property
@@ -259,6 +287,7 @@ class TrendPoint:
     measured_ns: int
     value: float
     std: float
+    noise: float | None = None  # part of it that differs from point to point; None is all of it
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,6 @@ from scipy.special import betainc
 
 from estimation.alerts.identity import IdentityEvent
 from estimation.alerts.parameters import FINDINGS
-from estimation.trend.extrapolation import conicity_points
 from estimation.trend.trend import TrendParameters, trend_up_to
 from estimation.values.alerts import Alert, Evidence, Finding, MileageNow, Severity, number_evidence
 from estimation.values.geometry import GeometryRecord, IntervalConicities, interval_conicities
@@ -379,13 +378,10 @@ def counting(facts: WheelsetFacts, delays: AlertDelays) -> Sequence[GeometryReco
 def _newest_first(facts: WheelsetFacts, intervals: Sequence[GeometryRecord]) -> Iterator[WheelsetFacts]:
     """Yield the facts as they are, and as they were after each earlier interval, had all earlier data been there."""
     yield replace(facts, not_assessable_reason=None)
-    shared_std: float | None = None
     for record, following in reversed(list(pairwise(intervals))):
         trend = None
         if facts.current_trend is not None and facts.current_trend.trend.not_comparable is None:
-            if shared_std is None:
-                shared_std = conicity_points(facts.all_conicities).spread
-            trend = trend_up_to(facts.current_trend, record.mileage_km, shared_std, facts.trend_parameters)
+            trend = trend_up_to(facts.current_trend, record.mileage_km, facts.trend_parameters)
         # until the next interval it has run as far as that one
         mileage = MileageNow(following.mileage_km, following.to_ns)
         yield replace(facts, geometry=record, trend=trend, mileage=mileage, not_assessable_reason=None)
