@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import xlogy
 
 from estimation.trend.parameters import CURVES, FLEET, FleetParameters
-from estimation.trend.wear_curve import robust_points
+from estimation.trend.wear_grid import robust, scaled_points
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.trend import FleetWear, OwnWear, WearComponent
 
@@ -30,41 +30,60 @@ def own_wear(
     params: FleetParameters = FLEET,
 ) -> OwnWear:
     """Return what points (k,) alone say of rate and change, x in km, for a wheelset whose wear began at ``origin``."""
-    points, share, variance = robust_points(x, value, std, origin)
+    points = scaled_points(x, value, std, origin)
+    counted = robust(points, None)
     rise = points.unit / points.span
-    information, moment, evidence = [], [], []
-    W = share / variance
+    W = counted.share / (points.variance + counted.nodes.scatter)
+    held = np.array(params.wanderings) ** 2 * points.span / rise**2 * points.spacing  # (q,) variances of hinges
+    knees = points.hinges.shape[1]
+    freed = (CURVES.knee_share * params.rate / rise) ** 2 * np.vstack([np.zeros(knees), np.eye(knees)])
+    ridge = 1.0 / (held[:, None, None] + freed)  # (q, 1 + knees, knees), without a knee and with one at each knot
+    chance = np.concatenate([[1.0 - CURVES.knee_chance], np.full(knees, CURVES.knee_chance / max(knees, 1))])
+    rows = []
     for length in params.lengths_km:
         X = points.design(length / points.span)
-        for wandering in params.wanderings:
-            of_hinge = wandering**2 * points.span / rise**2 * points.spacing
-            C = np.diag(1.0 / W) + of_hinge * points.hinges @ points.hinges.T
-            factor = np.linalg.cholesky(C)
-            white = np.linalg.solve(factor, np.column_stack([X[:, :3], points.z]))
-            level = white[:, :1]
-            norm = float((level**2).sum())
-            rest = white[:, 1:] - level @ (level.T @ white[:, 1:]) / norm
-            information.append(rest[:, :2].T @ rest[:, :2] / rise**2)
-            moment.append(rest[:, :2].T @ rest[:, 2] / rise)
-            log_size = np.log(np.diagonal(factor)).sum() + 0.5 * np.log(norm)
-            evidence.append(-log_size - 0.5 * float(rest[:, 2] @ rest[:, 2]))
-    best = max(evidence)
-    return OwnWear(amplitude, np.array(information), np.array(moment), np.array(evidence) - best)
+        gram, moment = (X.T * W) @ X, X.T @ (W * points.z)
+        rest = np.zeros((*ridge.shape[:2], knees + 1, knees + 1))  # of level and hinges
+        rest[..., np.arange(1, knees + 1), np.arange(1, knees + 1)] = ridge
+        others = [0, *range(3, X.shape[1])]
+        rest += gram[np.ix_(others, others)]
+        sides = np.column_stack([gram[others, 1:3], moment[others]])
+        solved = np.linalg.solve(rest, np.broadcast_to(sides, (*rest.shape[:2], *sides.shape)))
+        reduced = sides.T @ solved  # (q, 1 + knees, 3, 3)
+        evidence = 0.5 * (np.log(ridge).sum(axis=2) - np.linalg.slogdet(rest)[1] + reduced[..., 2, 2]) + np.log(chance)
+        unit = np.array([1.0, 1.0 / points.span if np.isinf(length) else 1.0]) * rise
+        information = (gram[1:3, 1:3] - reduced[..., :2, :2]) / np.outer(unit, unit)
+        pull = (moment[1:3] - reduced[..., :2, 2]) / unit
+        rows += [_likeliest(*of_wandering) for of_wandering in zip(information, pull, evidence, strict=True)]
+    information, moment, evidence = (np.array(column) for column in zip(*rows, strict=True))
+    return OwnWear(amplitude, information, moment, evidence - evidence.max())
+
+
+def _likeliest(
+    information: FloatArray, moment: FloatArray, evidence: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return information, moment and evidence of the knee, or of none, that is likeliest at its own best wear."""
+    best = evidence + 0.5 * np.einsum("ni,ni->n", moment, np.linalg.solve(information, moment[..., None])[..., 0])
+    return information[at := int(np.argmax(best))], moment[at], float(evidence[at])
 
 
 @dataclass(frozen=True, slots=True)
 class _Grid:
     wear: IntArray  # (g,) number of length and wandering
+    prior: FloatArray  # (g,)
+    unit: FloatArray  # (g,) of changes
     spread: FloatArray  # (g, 2, 2) covariance between wheelsets
 
 
 def _grid(params: FleetParameters) -> _Grid:
-    kinds = len(params.lengths_km) * len(params.wanderings)
-    rate, change = (np.array(stds) ** 2 for stds in (params.rate_stds, params.change_stds))
-    of_rate, of_change = (axis.ravel() for axis in np.meshgrid(rate, change, indexing="ij"))
-    spread = np.zeros((len(of_rate), 2, 2))
-    spread[:, 0, 0], spread[:, 1, 1] = of_rate, of_change
-    return _Grid(np.repeat(np.arange(kinds), len(of_rate)), np.tile(spread, (kinds, 1, 1)))
+    units = np.array(params.change_units)
+    kinds = [np.arange(len(of)) for of in (params.lengths_km, params.wanderings, params.rate_stds, params.change_stds)]
+    length, wandering, rate, change = (axis.ravel() for axis in np.meshgrid(*kinds, indexing="ij"))
+    spread = np.zeros((len(length), 2, 2))
+    spread[:, 0, 0] = np.array(params.rate_stds)[rate] ** 2
+    spread[:, 1, 1] = (np.array(params.change_stds)[change] * units[length]) ** 2
+    prior = np.array(params.length_prior)[length]
+    return _Grid(length * len(params.wanderings) + wandering, prior, units[length], spread)
 
 
 def fleet_priors(fleet: Sequence[OwnWear], params: FleetParameters = FLEET) -> list[FleetWear]:
@@ -102,9 +121,10 @@ def usual_wear(params: FleetParameters = FLEET) -> FleetWear:
 
 def _of_mean(grid: _Grid, params: FleetParameters) -> tuple[FloatArray, FloatArray]:
     """Return precision (g, 2, 2) and pull (g, 2) of the mean of a fleet, before any of its wheelsets is known."""
-    precision = np.diag(np.array([params.rate_std, params.change_std]) ** -2.0)
-    count = len(grid.wear)
-    return np.tile(precision, (count, 1, 1)), np.tile(precision @ np.array([params.rate, 0.0]), (count, 1))
+    precision = np.zeros((len(grid.wear), 2, 2))
+    precision[:, 0, 0] = params.rate_std**-2.0
+    precision[:, 1, 1] = (params.change_std * grid.unit) ** -2.0
+    return precision, precision @ np.array([params.rate, 0.0])
 
 
 def _marginal(
@@ -131,7 +151,9 @@ def _merged(
     """Return the prior by length and wandering, over which the spreads are averaged."""
     covariance = np.linalg.inv(T)
     mean = (covariance @ v[..., None])[..., 0]
-    log_weight = constant - 0.5 * np.linalg.slogdet(T)[1] + 0.5 * np.einsum("gi,gi->g", v, mean)
+    log_weight = (
+        constant + np.log(grid.prior / grid.unit) - 0.5 * np.linalg.slogdet(T)[1] + 0.5 * np.einsum("gi,gi->g", v, mean)
+    )
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
     of_wear = [np.flatnonzero(grid.wear == kind) for kind in range(int(grid.wear.max()) + 1)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -51,9 +52,11 @@ class CurveParameters:
     bend_nodes: tuple[float, ...] = (0.01, 0.15, 0.4, 1.0)  # change of slope over the observed span, in slopes
     bend_prior: tuple[float, ...] = (0.4, 0.2, 0.2, 0.2)
     lengths_alone: tuple[float, ...] = (1.0,)  # over which a change of slope dies out, in observed spans
-    negligible_node: float = 1e-7  # of the weight of the heaviest: without it nothing changes that is shown
+    knee_share: float = 0.7  # std of a change of rate at once, in rates
+    knee_chance: float = 0.15  # within an observed span
+    negligible_share: float = 1e-3  # of all nodes, which the lightest have together: nothing shown changes without
     tail_factors: tuple[float, ...] = (1.0, 3.0, 10.0)  # a wheelset is like its fleet, less so, or has left it
-    tail_prior: tuple[float, ...] = (0.75, 0.2, 0.05)
+    tail_prior: tuple[float, ...] = (0.88, 0.1, 0.02)
     # change point
     noise_shares: tuple[float, float] = (0.02, 3.0)  # of the stated stds, that are tried
     noise_points: int = 9
@@ -68,7 +71,10 @@ CURVES = CurveParameters()
 class FleetParameters:
     """Numbers of what a fleet says of the wear of its wheelsets."""
 
-    lengths_km: tuple[float, ...] = (2.0e4, 8.0e4, 3.2e5)  # over which a change of rate dies out
+    # over which a change of rate dies out; one that never does grows instead. The first is of wear that hardly changes
+    lengths_km: tuple[float, ...] = (math.inf, 2.0e4, 8.0e4, 3.2e5, math.inf)
+    change_units: tuple[float, ...] = (1e-7, 1.0, 1.0, 1.0, 1e-5)  # of changes; of growing ones 1/km
+    length_prior: tuple[float, ...] = (0.4, 0.15, 0.15, 0.15, 0.15)
     wanderings: tuple[float, ...] = (5e-11, 3e-10, 1.5e-9, 6e-9)  # per km, of the rate, per square root of km
     rate: float = 1.0e-6  # per km, of usual wear
     rate_std: float = 1.2e-6

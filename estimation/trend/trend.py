@@ -255,7 +255,9 @@ def _estimated(
 
 def _with_common_errors(curve: WearCurve, points: PointColumns, params: TrendParameters) -> WearCurve:
     """Return the curve with the errors that all points have in common: of scale, and of the level."""
-    return curve.scaled(params.scale_std).shifted(points.shared_std)
+    shared = points.shared_std
+    of_scale = min(shared, params.scale_std * abs(float(curve.weight @ curve.level)))
+    return curve.scaled(params.scale_std, of_scale).shifted(float(np.sqrt(shared**2 - of_scale**2)))
 
 
 def _by_date(
@@ -276,7 +278,7 @@ def _ahead(curve: WearCurve, limit: float, distance: Forecast, horizon_km: float
 
 
 def _forecast(curve: WearCurve, limit: float, horizon: float) -> Forecast:
-    return Forecast(*(curve.reaches(limit, probability, horizon) for probability in QUANTILES.values()))
+    return Forecast(*curve.reached_with(limit, list(QUANTILES.values()), horizon))
 
 
 _Covered = tuple[IntervalConicities, Mapping[int, KnownConicity]]  # with its conicities by amplitude in micrometres

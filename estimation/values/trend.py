@@ -6,6 +6,7 @@ alert rule of this kind and kept in the evidence of its alerts. Data from both s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -57,9 +58,9 @@ class WearComponent:
     """One of the ways in which wheelsets of a fleet wear: at ``rate + change exp(-age / length)``, which wanders."""
 
     weight: float
-    length: float  # km
+    length: float  # km; inf for a change that never dies out, ``change age``
     rate: float  # per km
-    change: float  # per km
+    change: float  # per km; of one that never dies out per square of km
     rate_std: float
     change_std: float
     correlation: float
@@ -67,13 +68,14 @@ class WearComponent:
 
     def per(self, distance: float) -> WearComponent:
         """Return it with another unit of distance, of so many km."""
+        of_change = distance**2 if math.isinf(self.length) else distance
         return replace(
             self,
             length=self.length / distance,
             rate=self.rate * distance,
-            change=self.change * distance,
+            change=self.change * of_change,
             rate_std=self.rate_std * distance,
-            change_std=self.change_std * distance,
+            change_std=self.change_std * of_change,
             wandering=self.wandering * distance**1.5,
         )
 

@@ -75,6 +75,7 @@ TREND = WearTrend(
     measured_ns=np.arange(3),
     value=np.full(3, 0.3),
     std=np.full(3, 0.01),
+    noise=np.full(3, 0.004),
     slope_per_1000_km=HIGH,
     slope_per_year=HIGH,
     fitted=HIGH,

@@ -207,6 +207,7 @@ def trend_record(recorded_ns: int, last: float) -> TrendRecord:
         measured_ns=np.array([START, START + DAY, START + 2 * DAY]),
         value=values,
         std=np.array([0.01, 0.011, np.nan]),
+        noise=np.array([0.004, 0.005, np.nan]),
         slope_per_1000_km=estimate(0.02),
         slope_per_year=Estimate.unknown(Reason(ReasonCode.SINGLE_DATE, "dates too close")),
         fitted=estimate(last),

@@ -186,7 +186,7 @@ def trend(seed: int = 0, points: int = 6) -> WearTrend:
     random = np.random.default_rng(seed)
     return WearTrend(
         "equivalent_conicity", np.cumsum(random.random(points)), START + np.arange(points), random.random(points),
-        random.random(points), estimate(seed), estimate(seed + 1), estimate(seed + 2), 0.3,
+        random.random(points), random.random(points), estimate(seed), estimate(seed + 1), estimate(seed + 2), 0.3,
         Forecast(0.0, 1234.5, None), Forecast(START + 1, START + 3.5, None), 0.25, Status.ESTIMATED, SO,
     )  # fmt: skip
 

@@ -52,6 +52,7 @@ def trend_of(*, fitted: Estimate | None = None, points: int = 3, probability: fl
         measured_ns=np.arange(points),
         value=np.full(points, 0.3),
         std=np.full(points, 0.01),
+        noise=np.full(points, 0.01),
         slope_per_1000_km=known(0.01, 0.001),
         slope_per_year=known(0.01, 0.001),
         fitted=fitted or known(0.3, 0.01),

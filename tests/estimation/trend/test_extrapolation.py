@@ -144,13 +144,14 @@ def test_a_trend_is_extrapolated_as_a_whole_and_knows_it_not_better_than_the_sha
     chosen = conicity_points([interval_conicities(one) for one in records])
     assert (chosen.quantity, chosen.amplitude, len(chosen.points)) == ("equivalent_conicity", 3e-3, 12)
     assert code_of(chosen.note) is ReasonCode.AMPLITUDE_EXTRAPOLATED
-    trend = refresh(chosen.points, 0.4, note=chosen.note, shared_std=chosen.spread)
+    trend = refresh(chosen.points, 0.4, note=chosen.note)
     assert trend.fitted.std is not None
-    assert trend.fitted.std >= chosen.spread > 0.0
     assert code_of(trend.fitted.reason) is ReasonCode.AMPLITUDE_EXTRAPOLATED
-    alone = refresh(chosen.points, 0.4, note=chosen.note)
+    spread = np.median([np.sqrt(point.std**2 - (point.noise or 0.0) ** 2) for point in chosen.points])
+    assert spread > 0.0
+    alone = refresh([replace(point, std=point.noise or 0.0) for point in chosen.points], 0.4, note=chosen.note)
     assert alone.fitted.std is not None
-    assert trend.fitted.std == pytest.approx(np.hypot(alone.fitted.std, chosen.spread), rel=1e-6)
+    assert trend.fitted.std == pytest.approx(np.hypot(alone.fitted.std, spread), rel=1e-6)
 
 
 def test_no_limit_is_held_against_another_amplitude() -> None:

@@ -28,6 +28,7 @@ WEARS = WearTrend(
     measured_ns=np.array([0, 50 * DAY_NS, LAST_NS]),
     value=np.full(3, 0.3),
     std=np.full(3, 0.01),
+    noise=np.full(3, 0.01),
     slope_per_1000_km=known(0.01, 0.001),
     slope_per_year=known(0.01, 0.001),
     fitted=known(0.2, 0.01),

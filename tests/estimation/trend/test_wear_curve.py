@@ -8,9 +8,7 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from bench.trend import History, histories
-from estimation.trend import wear_curve
-from estimation.trend.parameters import CURVES
-from estimation.trend.wear_curve import WearCurve, fit_wear_curve
+from estimation.trend.wear_curve import Shapes, WearCurve, fit_wear_curve, scaled_points, solve
 from estimation.values.mixture import NormalMixture
 from estimation.values.quantities import Estimate
 
@@ -89,26 +87,36 @@ def test_one_point_in_ten_wrong_costs_little_where_least_squares_is_lost() -> No
 
 def test_a_node_equals_generalised_least_squares_with_the_whole_covariance() -> None:
     history = next(histories(2, 1, points=(15,)))
-    points = wear_curve._scale(history.x, history.value, history.std)
-    scatter, bend = 0.7, 0.9
-    weight, beta, covariance, _, _ = wear_curve._solve(
-        points, np.ones(15), np.array([scatter, 1.3]), np.array([bend]), np.array([0.4, 0.6])
+    points = scaled_points(history.x, history.value, history.std, None)
+    wandering, bend, mean = 0.3, np.array([0.9, 1.7]), np.array([0.2, -0.4])
+    shapes = Shapes(
+        np.ones(1),
+        np.ones(1),
+        np.zeros(1, dtype=np.int64),
+        np.diag(bend**-2.0)[None],
+        mean[None],
+        np.array([wandering]),
     )
-    line, wandering = points.design[:, :2], points.design[:, 3:]
+    scatter = np.array([0.7, 1.3])
+    nodes = solve(points, np.ones(15), scatter, np.array([0.4, 0.6]), shapes)
+    design = points.design(1.0)
     log_likelihood = []
-    for tau in (scatter, 1.3):
-        K = np.diag(points.variance + tau**2) + bend**2 * np.outer(points.design[:, 2], points.design[:, 2])
-        K += (CURVES.wandering_share * bend) ** 2 * points.spacing * wandering @ wandering.T
+    for number, tau in enumerate(scatter.tolist()):
+        K = np.diag(points.variance + tau**2) + wandering**2 * points.spacing * points.hinges @ points.hinges.T
         inverse = np.linalg.inv(K)
-        information = line.T @ inverse @ line
-        solution = np.linalg.solve(information, line.T @ inverse @ points.z)
-        rest = points.z - line @ solution
+        prior = np.diag([0.0, *bend**-2.0])
+        information = design[:, :3].T @ inverse @ design[:, :3] + prior
+        solution = np.linalg.solve(information, design[:, :3].T @ inverse @ points.z + prior @ [0.0, *mean])
+        whole = K + design[:, 1:3] @ np.diag(bend**2) @ design[:, 1:3].T
+        level = np.ones(15) @ np.linalg.inv(whole)
+        rest = points.z - design[:, 1:3] @ mean
+        rest -= level @ rest / level.sum()
         log_likelihood.append(
-            -0.5 * (np.linalg.slogdet(K)[1] + np.linalg.slogdet(information)[1] + rest @ inverse @ rest)
+            -0.5 * (np.linalg.slogdet(whole)[1] + np.log(level.sum()) + rest @ np.linalg.inv(whole) @ rest)
         )
-        if tau == scatter:
-            np.testing.assert_allclose(beta[0, :2], solution, rtol=1e-8)
-            np.testing.assert_allclose(covariance[0, :2, :2], np.linalg.inv(information), rtol=1e-8)
+        np.testing.assert_allclose(nodes.beta[number, 0, :3], solution, rtol=1e-8)
+        np.testing.assert_allclose(nodes.covariance[number, 0], np.linalg.inv(information), rtol=1e-8)
+    weight = nodes.weight[:, 0]
     odds = 0.4 / 0.6 * np.exp(log_likelihood[0] - log_likelihood[1])
     assert weight[0] / weight[1] == pytest.approx(odds, rel=1e-8)
 
@@ -168,7 +176,7 @@ def test_quantiles_of_the_crossing_agree_with_draws_of_lines() -> None:
         damped=np.array([0.0]),
         covariance=np.array([[[4e-6, 2e-11, 0.0], [2e-11, 4e-14, 0.0], [0.0, 0.0, 1e-30]]]),
         wandering=np.array([0.0]),
-        span=1e5,
+        length=np.array([1e5]),
         share=np.ones(5),
     )
     draws = stats.multivariate_normal([0.2, 1e-6], curve.covariance[0, :2, :2], allow_singular=True).rvs(
