@@ -19,7 +19,8 @@ from pydantic import Field as Described
 from api.schemas.common import MODELS, Derived, Href, Representation, Uncertain, fields_of
 from api.schemas.trend import DateForecast, DistanceForecast, forecast_of
 from api.times import Timestamp, to_rfc3339
-from estimation.alerts.life_cycle import DELAYS, Delays
+from estimation.alerts.decision import DELAYS
+from estimation.alerts.life_cycle import Delays
 from estimation.alerts.rule_book import ALERT_RULES, FleetAlertEvidence
 from estimation.alerts.rules import running_gear
 from estimation.values.alerts import Alert, AlertScope

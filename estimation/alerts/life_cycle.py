@@ -13,27 +13,18 @@ under ``delays`` in its evidence.
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated
 
-from estimation.alerts.parameters import FINDINGS
+from estimation.alerts.decision import DELAYS, TOLD, differs, snapshot, told_of
 from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError, InputError
-from estimation.trend.now import SCALE
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition
 from estimation.values.fields import JsonValue, Served
 from estimation.values.units import DAY_NS
 
-DELAYS = "delays"
 RUN_FROM = "run_from_km"  # among them: mileage of the first of the findings on end that are counted
-EVERY_KILOMETRE = (
-    DELAYS,
-    "distance_to_limit_km",
-    "date_of_limit_ns",
-    "probability_over_limit",
-)  # change, which is no news
 SEVERITY_RANK = {severity: rank for rank, severity in enumerate(Severity)}
 
 
@@ -197,21 +188,18 @@ def acknowledgement_ends_ns(alert: Alert) -> int | None:
 
 
 def updated(before: Alert, after: Alert) -> Transition | None:
-    """Return the change, with an event only where it matters to a reader of the feed; None where there is none."""
-    events = (AlertEventKind.UPDATED,) if _material(before) != _material(after) else ()
-    return _changed(before, after, events)
+    """Return the change, with an event only where a reader of the feed decides otherwise; None where there is none."""
+    if before == after:
+        return None
+    told = told_of(before)
+    news = differs(told, before, after)
+    counters = {**_counters(after), TOLD: snapshot(after) if news else dict(told)}
+    noted = replace(after, evidence={**after.evidence, DELAYS: counters})
+    return Transition(noted, (AlertEventKind.UPDATED,) if news else ())
 
 
 def _changed(before: Alert, after: Alert, events: tuple[AlertEventKind, ...]) -> Transition | None:
     return None if before == after else Transition(after, events)
-
-
-def _material(alert: Alert) -> tuple[object, ...]:
-    band = None if alert.probability is None else bisect_right(FINDINGS.probability_bands, alert.probability)
-    evidence = {key: value for key, value in alert.evidence.items() if key not in EVERY_KILOMETRE}
-    limits = (alert.raise_limit, alert.clear_limit)
-    over = SCALE.over(_number(alert.evidence.get("probability_over_limit"), 0.0))
-    return alert.severity, alert.condition, band, over, evidence, alert.action, limits, alert.acknowledged_by
 
 
 def _is_news(alert: Alert, finding: Finding) -> bool:

@@ -17,8 +17,8 @@ from typing import Annotated, TypeVar
 
 from annotated_types import Interval
 
+from estimation.alerts.decision import DELAYS
 from estimation.alerts.life_cycle import (
-    DELAYS,
     SEVERITY_RANK,
     acknowledgement_ends_ns,
     close,

@@ -73,10 +73,13 @@ def test_the_same_data_again_change_nothing() -> None:
     assert step(raised(), finding(100)) is None
 
 
-def test_a_repeat_with_newer_data_is_counted_and_published() -> None:
-    change = step(raised(), finding(200, value=0.45))
+def test_a_repeat_with_newer_data_is_counted_and_published_where_it_says_more() -> None:
+    change = step(raised(), finding(200, value=0.66))
     assert change is not None
     assert change.events == (AlertEventKind.UPDATED,)
+    change = step(raised(), finding(200, value=0.45))
+    assert change is not None
+    assert change.events == ()
     assert (change.alert.occurrence_count, change.alert.last_seen_ns, change.alert.opened_ns) == (2, 200, 100)
     assert change.alert.evidence["value"] == 0.45
     assert change.alert.version == raised().version  # the store counts it

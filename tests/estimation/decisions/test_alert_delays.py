@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -11,6 +12,7 @@ from estimation.alerts.rule_book import AlarmFloodRule, RuleBook, in_flood, open
 from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError, InputError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition
+from estimation.values.fields import JsonValue
 
 DAY = 86_400 * 10**9
 HOUR = 3_600 * 10**9
@@ -108,10 +110,49 @@ def test_an_alert_without_counters_clears_with_the_first_newer_data() -> None:
 
 @pytest.mark.parametrize("edge", [0.05, 0.5, 0.8, 0.95, 0.99])
 def test_an_update_is_published_where_a_probability_crosses_a_band(edge: float) -> None:
-    alert = raised(probability=edge - 0.002)
-    assert moved(alert, finding(2, probability=edge - 0.001)).events == NO_EVENT
-    assert moved(alert, finding(2, probability=edge + 0.001)).events == UPDATED
+    odds, step = edge / (1.0 - edge), math.exp(0.4)
+    alert = raised(probability=edge - 1e-6)
+    assert moved(alert, finding(2, probability=edge - 2e-6)).events == NO_EVENT
+    assert moved(alert, finding(2, probability=1.0 - 1.0 / (1.0 + odds * step * 0.98))).events == NO_EVENT
+    assert moved(alert, finding(2, probability=1.0 - 1.0 / (1.0 + odds * step * 1.02))).events == UPDATED
     assert moved(raised(probability=edge + 0.001), finding(2, probability=edge + 0.002)).events == NO_EVENT
+
+
+def test_a_probability_that_creeps_is_published_in_the_end() -> None:
+    alert, events = raised(probability=0.79), []
+    for number in range(12):
+        change = moved(alert, finding(2 + number, probability=0.79 + 0.01 * number))
+        alert, events = change.alert, [*events, *change.events]
+    assert events == list(UPDATED)
+
+
+def forecast_evidence(*days: float | None, slope: float = 0.03) -> dict[str, JsonValue]:
+    dates = [None if day is None else round(day * DAY) for day in days]
+    estimate = {"value": slope, "interval_95": [0.02, 0.04], "status": "estimated", "reason_code": None, "std": slope}
+    return {"date_of_limit_ns": dict(zip(("p10", "p50", "p90"), dates, strict=True)), "slope": estimate, "points": 8}
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        (forecast_evidence(90, 110, 180), False),
+        (forecast_evidence(60, 68, 180), False),  # a third of 100 days that were left is 33
+        (forecast_evidence(60, 66, 180), True),
+        (forecast_evidence(90, 132, 180), False),
+        (forecast_evidence(90, 134, 180), True),
+        (forecast_evidence(40, 49, 60), True),  # behind what was said to be the earliest
+        (forecast_evidence(80, 100, 180, slope=0.0399), False),
+        (forecast_evidence(80, 100, 180, slope=0.0401), True),  # out of its interval
+        (forecast_evidence(80, 100, 180) | {"points": 12}, False),
+        (forecast_evidence(80, 100, 180) | {"points": 13}, True),  # more than half as many again
+        (forecast_evidence(80, None, None), True),
+    ],
+)
+def test_an_update_is_published_where_a_date_or_a_number_leaves_what_was_told(
+    changed: dict[str, JsonValue], *, told: bool
+) -> None:
+    alert = raised(evidence=forecast_evidence(50, 100, 200))
+    assert moved(alert, finding(2, evidence=changed)).events == (UPDATED if told else NO_EVENT)
 
 
 def test_an_update_is_published_of_what_matters() -> None:

@@ -30,7 +30,7 @@ UNKNOWN = Estimate.unknown(Reason(ReasonCode.AMPLITUDE_NOT_COMPARABLE, "the coni
 
 def even(probability: float) -> LimitState:
     """Return a wheelset that covers 1.75 mm, below the limit there, and is over it at 3 mm with a probability."""
-    beyond = Extrapolation(0.35, 0.03, 1e-6, (0.0,) * 40)
+    beyond = Extrapolation(0.35, 0.03, 0.03, 1e-6, (0.0,) * 40)
     return LimitState(above(probability, LIMIT, 0.03), known(0.3, 0.01), 1.75e-3, (), beyond)
 
 

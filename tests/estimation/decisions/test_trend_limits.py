@@ -94,7 +94,7 @@ def test_slopes_are_per_thousand_kilometres_and_per_year() -> None:
     given = points(*KM, std=1e-4)
     trend = refresh(given[::-1], 2.0)
     curve = fit_wear_curve(np.array(KM), np.array([p.value for p in given]), np.full(12, 1e-4))
-    slope = curve.slope_now().estimate(float(curve.share.sum()))
+    slope = curve.scaled(TrendParameters().scale_std).slope_now().estimate(float(curve.share.sum()))
     found = trend.slope_per_1000_km
     for one, other in (
         (found.value, slope.value),
@@ -115,6 +115,7 @@ def test_forecasts_are_the_tenth_the_half_and_nine_tenths() -> None:
     limit = given[-1].value + 0.06
     trend = refresh(given, limit)
     curve = fit_wear_curve(np.array(KM[:6]), np.array([p.value for p in given]), np.full(6, 5e-3))
+    curve = curve.scaled(TrendParameters().scale_std)
     quantiles = trend.distance_to_limit_km
     for distance, probability in ((quantiles.p10, 0.1), (quantiles.p50, 0.5), (quantiles.p90, 0.9)):
         assert distance is not None

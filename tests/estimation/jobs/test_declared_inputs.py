@@ -33,7 +33,9 @@ from estimation.values.track import TrackSectionRecord
 from estimation.values.trend import (
     AFTER,
     BEFORE,
+    FLEET_WEAR,
     IDENTITY,
+    OWN_WEAR,
     SUSPENSION,
     SuspensionFinding,
     SuspensionShown,
@@ -99,6 +101,8 @@ READS: Mapping[str, str] = {
     "results.identity_jump": "identity_jump",
     "results.identity": "identity",
     "results.suspension": Facet.BESIDE,
+    "results.own_wear": OWN_WEAR.stage,
+    "results.fleet_wear": FLEET_WEAR.stage,
     "tracks.in_force": Facet.ALIGNMENT,
     "windows.any_decided": Facet.PLACES,
     "windows.refused_on": Facet.PLACES,

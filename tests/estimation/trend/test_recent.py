@@ -40,7 +40,7 @@ def levels(kind: str, std: float = 0.006) -> tuple[FloatArray, FloatArray]:
     return newest, whole
 
 
-@pytest.mark.parametrize(("kind", "low_before"), [("exponential", -0.03), ("late", -0.1)])
+@pytest.mark.parametrize(("kind", "low_before"), [("exponential", -0.01), ("late", -0.05)])
 def test_the_level_of_wear_that_accelerates_does_not_lie_below_its_last_points(kind: str, low_before: float) -> None:
     newest, whole = levels(kind)
     assert np.mean(whole) < low_before

@@ -8,7 +8,9 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from bench.trend import History, histories
-from estimation.trend.wear_curve import Shapes, WearCurve, fit_wear_curve, scaled_points, solve
+from estimation.trend.parameters import CURVES
+from estimation.trend.wear_curve import WearCurve, fit_wear_curve
+from estimation.trend.wear_grid import Shapes, scaled_points, solve
 from estimation.values.mixture import NormalMixture
 from estimation.values.quantities import Estimate
 
@@ -85,40 +87,52 @@ def test_one_point_in_ten_wrong_costs_little_where_least_squares_is_lost() -> No
     assert rms[0] < 1.5 * rms[2]
 
 
-def test_a_node_equals_generalised_least_squares_with_the_whole_covariance() -> None:
+def test_every_node_equals_generalised_least_squares_with_the_whole_covariance() -> None:
+    """Level, rate and change of each scatter and knee, and what each of them is worth."""
     history = next(histories(2, 1, points=(15,)))
     points = scaled_points(history.x, history.value, history.std, None)
-    wandering, bend, mean = 0.3, np.array([0.9, 1.7]), np.array([0.2, -0.4])
+    wandering, bend, knee = 0.3, np.array([0.9, 1.7]), 40.0
+    scatter, mean, design = np.array([0.7, 1.3]), np.array([0.2, -0.4]), points.design(1.0)
     shapes = Shapes(
-        np.ones(1),
-        np.ones(1),
-        np.zeros(1, dtype=np.int64),
-        np.diag(bend**-2.0)[None],
-        mean[None],
-        np.array([wandering]),
+        weight=np.ones(1),
+        lengths=np.ones(1),
+        which=np.zeros(1, dtype=np.int64),
+        precision=np.diag(bend**-2.0)[None],
+        mean=mean[None],
+        wandering=np.array([wandering]),
+        knee=np.array([knee]),
     )
-    scatter = np.array([0.7, 1.3])
     nodes = solve(points, np.ones(15), scatter, np.array([0.4, 0.6]), shapes)
-    design = points.design(1.0)
-    log_likelihood = []
-    for number, tau in enumerate(scatter.tolist()):
-        K = np.diag(points.variance + tau**2) + wandering**2 * points.spacing * points.hinges @ points.hinges.T
-        inverse = np.linalg.inv(K)
-        prior = np.diag([0.0, *bend**-2.0])
-        information = design[:, :3].T @ inverse @ design[:, :3] + prior
-        solution = np.linalg.solve(information, design[:, :3].T @ inverse @ points.z + prior @ [0.0, *mean])
-        whole = K + design[:, 1:3] @ np.diag(bend**2) @ design[:, 1:3].T
-        level = np.ones(15) @ np.linalg.inv(whole)
-        rest = points.z - design[:, 1:3] @ mean
-        rest -= level @ rest / level.sum()
-        log_likelihood.append(
-            -0.5 * (np.linalg.slogdet(whole)[1] + np.log(level.sum()) + rest @ np.linalg.inv(whole) @ rest)
-        )
-        np.testing.assert_allclose(nodes.beta[number, 0, :3], solution, rtol=1e-8)
-        np.testing.assert_allclose(nodes.covariance[number, 0], np.linalg.inv(information), rtol=1e-8)
-    weight = nodes.weight[:, 0]
-    odds = 0.4 / 0.6 * np.exp(log_likelihood[0] - log_likelihood[1])
-    assert weight[0] / weight[1] == pytest.approx(odds, rel=1e-8)
+    knots = points.hinges.shape[1]
+    expected = []
+    for tau, prior in zip(scatter.tolist(), (0.4, 0.6), strict=True):
+        for at in range(knots + 1):
+            held = np.full(knots, wandering**2 * points.spacing)
+            chance = 1.0 - CURVES.knee_chance
+            if at:
+                held[at - 1] += knee**2
+                chance = CURVES.knee_chance / knots
+            K = np.diag(points.variance + tau**2) + points.hinges @ np.diag(held) @ points.hinges.T
+            precision = np.diag([0.0, *bend**-2.0])
+            information = design[:, :3].T @ np.linalg.inv(K) @ design[:, :3] + precision
+            moment = design[:, :3].T @ np.linalg.inv(K) @ points.z + precision @ [0.0, *mean]
+            whole = K + design[:, 1:3] @ np.diag(bend**2) @ design[:, 1:3].T
+            level = np.ones(15) @ np.linalg.inv(whole)
+            rest = points.z - design[:, 1:3] @ mean
+            rest -= level @ rest / level.sum()
+            log_likelihood = np.linalg.slogdet(whole)[1] + np.log(level.sum()) + rest @ np.linalg.inv(whole) @ rest
+            covariance = np.linalg.inv(information)
+            expected.append((np.log(prior * chance) - 0.5 * log_likelihood, covariance @ moment, covariance))
+    weights = np.exp([log - max(one for one, _, _ in expected) for log, _, _ in expected])
+    weights /= weights.sum()
+    counted = [number for number, weight in enumerate(weights) if weight > CURVES.negligible_share]
+    assert len(counted) > 3
+    for number in counted:
+        _, beta, covariance = expected[number]
+        node = int(np.argmin(np.abs(nodes.beta - beta).sum(axis=1)))
+        np.testing.assert_allclose(nodes.beta[node], beta, rtol=1e-6)
+        np.testing.assert_allclose(nodes.covariance[node], covariance, rtol=1e-6)
+        assert nodes.weight[node] == pytest.approx(weights[number], rel=2.0 * CURVES.negligible_share)
 
 
 def test_a_mixture_has_the_quantiles_of_its_draws() -> None:
