@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.refresh_trends import TrendHistory, histories, vehicles_of
@@ -17,7 +17,7 @@ from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.storage import UnitOfWork
 from estimation.trend.change_point import CONICITY
-from estimation.trend.extrapolation import conicity_points
+from estimation.trend.extrapolation import beyond_reached, conicity_points
 from estimation.trend.fleet import fleet_priors, own_wear
 from estimation.trend.parameters import CURVES, FLEET
 from estimation.trend.trend import behind_step, newest_step, points_of
@@ -46,7 +46,8 @@ def own(history: TrendHistory) -> Outcome[OwnWear]:
     if points is None:
         return Outcome([Part(None, status=Status.UNESTIMATED, reason=TOO_FEW)])
     origin_km = history.turned_km if step is None else step.before_km
-    return Outcome([Part(own_wear(points.mileage_km, points.value, points.noise, origin_km, chosen.amplitude))])
+    wear = own_wear(points.mileage_km, points.value, points.noise, origin_km, chosen.amplitude)
+    return Outcome([Part(replace(wear, beyond=beyond_reached(history.conicities)))])
 
 
 @dataclass(frozen=True, slots=True)

@@ -136,7 +136,7 @@ def trend_of(
         turned_km: Mileage of the last reprofiling; None where nobody knows it.
     """
     step = newest_step(records, parameters)
-    chosen = conicity_points(behind_step(records, step))
+    chosen = conicity_points(behind_step(records, step), fleet)
     trend = refresh(
         chosen.points,
         limit,

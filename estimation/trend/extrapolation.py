@@ -14,8 +14,9 @@ hold a wheelset too.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib.resources import as_file, files
 from typing import Annotated
@@ -29,7 +30,7 @@ from estimation.values.memory import MEMORY
 from estimation.values.mixture import NormalMixture
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, combined
-from estimation.values.trend import TrendPoint
+from estimation.values.trend import BeyondReached, FleetWear, TrendPoint
 
 LIMIT_AMPLITUDE = CURVES.limit_amplitude
 SAME_AMPLITUDE = CURVES.same_amplitude
@@ -96,9 +97,41 @@ def not_comparable(amplitude: float) -> Reason:
     return Reason(ReasonCode.AMPLITUDE_NOT_COMPARABLE, text)
 
 
-def extrapolated(known: Sequence[KnownConicity], family: WornFamily | None = None) -> Extrapolation | None:
-    """Return the conicity at the limit's amplitude from those at smaller ones; None where it cannot be known."""
-    return _of_design_pairs(tuple(known)) if family is None else _extrapolated(tuple(known), family)
+def extrapolated(
+    known: Sequence[KnownConicity], family: WornFamily | None = None, fleet: FleetWear | None = None
+) -> Extrapolation | None:
+    """Return the conicity at the limit's amplitude from those at smaller ones; None where it cannot be known.
+
+    Wheelsets of its fleet that reach that amplitude go before the catalogue: they show by how much it is off.
+    """
+    beyond = _of_design_pairs(tuple(known)) if family is None else _extrapolated(tuple(known), family)
+    if beyond is None or fleet is None:
+        return beyond
+    same = (shown for shown in fleet.beyond if abs(shown.amplitude - known[-1].amplitude) < SAME_AMPLITUDE)
+    shown = next(same, None)
+    if shown is None or shown.std >= beyond.spread:
+        return beyond
+    narrower = tuple(off * shown.std / beyond.spread for off in beyond.beyond)
+    return replace(beyond, value=beyond.value + shown.error, spread=shown.std, beyond=narrower)
+
+
+def beyond_reached(records: Sequence[IntervalConicities]) -> tuple[BeyondReached, ...]:
+    """Return by how much the newest conicities at the limit's amplitude are off what is extrapolated to it."""
+    off: defaultdict[int, list[tuple[float, float]]] = defaultdict(list)
+    for record in records[-CURVES.covering_intervals :]:
+        covered = by_amplitude(record)
+        if _PREFERRED not in covered:
+            continue
+        smaller = [covered[key]._replace(amplitude=key * SAME_AMPLITUDE) for key in sorted(covered) if key < _PREFERRED]
+        for count, largest in enumerate(smaller, start=1):
+            beyond = extrapolated(smaller[:count])
+            if beyond is not None and largest.amplitude >= CURVES.least_shown_amplitude - SAME_AMPLITUDE:
+                key = round(largest.amplitude / SAME_AMPLITUDE)
+                off[key].append((covered[_PREFERRED].value - beyond.value, beyond.spread))
+    return tuple(
+        BeyondReached(key * SAME_AMPLITUDE, *(float(np.median(column)) for column in zip(*pairs, strict=True)))
+        for key, pairs in sorted(off.items())
+    )
 
 
 @lru_cache(MEMORY.extrapolations)
@@ -224,7 +257,7 @@ class TrendPoints:
     not_comparable: Reason | None = None
 
 
-def conicity_points(records: Sequence[IntervalConicities]) -> TrendPoints:
+def conicity_points(records: Sequence[IntervalConicities], fleet: FleetWear | None = None) -> TrendPoints:
     """Return the equivalent conicity of each interval, at one amplitude."""
     # The amplitude is 3 mm where three quarters of the latest eight intervals cover it. Else every interval is
     # extrapolated to 3 mm from the largest amplitude that as many cover (else the one that most of them cover). Where
@@ -246,7 +279,7 @@ def conicity_points(records: Sequence[IntervalConicities]) -> TrendPoints:
     if chosen == _PREFERRED:
         points = tuple(_point(r, c[chosen]) for r, c in having)
         return TrendPoints(QUANTITY, LIMIT_AMPLITUDE, points, combined(notes))
-    extrapolations = _extrapolated_points(having, chosen, notes)
+    extrapolations = _extrapolated_points(having, chosen, notes, fleet)
     if extrapolations is not None:
         return extrapolations
     amplitude, name = chosen * SAME_AMPLITUDE, f"{chosen / 1000:g}"
@@ -257,11 +290,13 @@ def conicity_points(records: Sequence[IntervalConicities]) -> TrendPoints:
     return TrendPoints(quantity, amplitude, points, note, not_comparable=not_comparable(amplitude))
 
 
-def _extrapolated_points(having: Sequence[_Covered], chosen: int, notes: Sequence[Reason]) -> TrendPoints | None:
+def _extrapolated_points(
+    having: Sequence[_Covered], chosen: int, notes: Sequence[Reason], fleet: FleetWear | None
+) -> TrendPoints | None:
     tried = []
     for record, covered in having if chosen < _PREFERRED else ():
         smaller = [covered[key]._replace(amplitude=key * SAME_AMPLITUDE) for key in sorted(covered) if key <= chosen]
-        tried.append((record, extrapolated(smaller)))
+        tried.append((record, extrapolated(smaller, fleet=fleet)))
     extrapolations = [(record, extrapolation) for record, extrapolation in tried if extrapolation is not None]
     if not extrapolations or tried[-1][1] is None or len(extrapolations) < CURVES.covering_share * len(tried):
         return None

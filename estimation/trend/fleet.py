@@ -8,6 +8,7 @@ over a grid by the marginal likelihood of the other wheelsets: what one is told 
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -18,7 +19,7 @@ from scipy.special import xlogy
 from estimation.trend.parameters import CURVES, FLEET, FleetParameters
 from estimation.trend.wear_grid import robust, scaled_points
 from estimation.values.arrays import FloatArray, IntArray
-from estimation.values.trend import FleetWear, OwnWear, WearComponent
+from estimation.values.trend import BeyondReached, FleetWear, OwnWear, WearComponent
 
 
 def own_wear(
@@ -105,7 +106,40 @@ def fleet_priors(fleet: Sequence[OwnWear], params: FleetParameters = FLEET) -> l
     c = like * (near[2] + np.log1p(-params.tail_share)) + (1.0 - like) * (far[2] + np.log(params.tail_share))
     c -= xlogy(like, like) + xlogy(1.0 - like, 1.0 - like)
     T, v, c = precision + T.sum(axis=0) - T, pull + v.sum(axis=0) - v, c.sum(axis=0) - c  # of all others
-    return [FleetWear(_merged(grid, T[w], v[w], c[w], params), len(fleet) - 1) for w in range(len(fleet))]
+    return [
+        FleetWear(
+            _merged(grid, T[w], v[w], c[w], params),
+            len(fleet) - 1,
+            beyond_of([*fleet[:w], *fleet[w + 1 :]], params),
+        )
+        for w in range(len(fleet))
+    ]
+
+
+def beyond_of(others: Sequence[OwnWear], params: FleetParameters = FLEET) -> tuple[BeyondReached, ...]:
+    """Return by how much the conicity of one more wheelset will be off what is extrapolated, by what others reached."""
+    shown: defaultdict[float, list[BeyondReached]] = defaultdict(list)
+    for own in others:
+        for reached in own.beyond:
+            shown[reached.amplitude].append(reached)
+    return tuple(
+        _beyond(amplitude, reached, params)
+        for amplitude, reached in sorted(shown.items())
+        if len(reached) >= params.fewest_beyond
+    )
+
+
+def _beyond(amplitude: float, shown: Sequence[BeyondReached], params: FleetParameters) -> BeyondReached:
+    errors, spread = np.array([reached.error for reached in shown]), float(np.mean([reached.std for reached in shown]))
+    expected = params.alike_weight * (params.alike_share * spread) ** 2
+    between = (expected + float(np.sum((errors - errors.mean()) ** 2))) / (params.alike_weight + len(errors) - 1.0)
+    mean = float(errors.mean()) / (1.0 + between / (len(errors) * spread**2))
+    std = _round_up(np.sqrt(between * (1.0 + 1.0 / len(errors))), params)
+    return BeyondReached(amplitude, float(np.round(mean / std * params.mean_steps) * std / params.mean_steps), std)
+
+
+def _round_up(std: float, params: FleetParameters) -> float:
+    return float(2.0 ** (np.ceil(np.log2(std) * params.std_steps) / params.std_steps))
 
 
 _OF_WEAR = ("information", "moment", "evidence")

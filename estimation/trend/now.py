@@ -159,7 +159,8 @@ def limit_state(geometry: WheelsetGeometry, trend: WearTrend | None) -> LimitSta
     amplitude = geometry.reported_amplitude
     reaches = CURVES.least_amplitude - SAME_AMPLITUDE < amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE
     extrapolates = reaches and geometry.equivalent_conicity.status is Status.ESTIMATED
-    beyond = extrapolated(below_limit(geometry)) if extrapolates else None
+    fleet = None if trend is None else trend.fleet
+    beyond = extrapolated(below_limit(geometry), fleet=fleet) if extrapolates else None
     last: list[Estimate] = []
     if trend is not None and conicity is fitted:
         pairs = zip(trend.value[-SCALE.last_points :].tolist(), trend.std[-SCALE.last_points :].tolist(), strict=True)

@@ -33,6 +33,7 @@ class CurveParameters:
     covering_intervals: int = 8  # an amplitude that a little worn wheelset did not reach long ago may be covered
     stored_unit: float = 1e-4  # of a stored conicity
     table_amplitudes: tuple[float, ...] = tuple(0.25e-3 * step for step in range(2, 13))  # m, of worn wheels
+    least_shown_amplitude: float = 2.0e-3  # m, of a wheelset that shows how its fleet goes on
     spread_values: int = 40  # that show how the changes of members are spread
     # wear curve
     most_knots: int = 8
@@ -41,7 +42,7 @@ class CurveParameters:
     outlier_stds: float = 10.0
     points_for_outliers: int = 5  # with fewer, an outlier cannot be identified
     scatter_nodes: int = 12
-    scatter_scale: float = 1.0  # half-Cauchy scale of tau, in median standard deviations
+    scatter_scale: float = 0.4  # half-Cauchy scale of tau, in median standard deviations
     wandering_share: float = 0.3  # of the bend's standard deviation
     least_std_share: float = 1e-3  # of the median std: a better point cannot make the others count for nothing
     diagonal_jitter: float = 1e-13  # on a unit diagonal: of the order of the rounding of the sums
@@ -74,7 +75,7 @@ class FleetParameters:
     # over which a change of rate dies out; one that never does grows instead. The first is of wear that hardly changes
     lengths_km: tuple[float, ...] = (math.inf, 2.0e4, 8.0e4, 3.2e5, math.inf)
     change_units: tuple[float, ...] = (1e-7, 1.0, 1.0, 1.0, 1e-5)  # of changes; of growing ones 1/km
-    length_prior: tuple[float, ...] = (0.4, 0.15, 0.15, 0.15, 0.15)
+    length_prior: tuple[float, ...] = (0.3, 0.15, 0.15, 0.2, 0.2)
     wanderings: tuple[float, ...] = (5e-11, 3e-10, 1.5e-9, 6e-9)  # per km, of the rate, per square root of km
     rate: float = 1.0e-6  # per km, of usual wear
     rate_std: float = 1.2e-6
@@ -86,6 +87,10 @@ class FleetParameters:
     tail_factor: float = 3.0  # by which these are spread wider
     rounds: int = 8
     least_weight: float = 0.01  # of a component that is kept
+    # extrapolation beside wheelsets that reach the limit's amplitude
+    fewest_beyond: int = 2  # of them that say something
+    alike_share: float = 0.3  # std between wheelsets of a fleet as expected, in that of the catalogue
+    alike_weight: float = 2.0  # wheelsets that this counts for
     # what is said is rounded, so that a few points more of one wheelset leave the trends of the others as they are
     share_step: float = 0.02
     std_steps: float = 4.0  # in a doubling

@@ -41,6 +41,15 @@ class TrendStep:
 
 
 @dataclass(frozen=True, slots=True)
+class BeyondReached:
+    """By how much conicities at the limit's amplitude are off what is extrapolated to it from a smaller one (m)."""
+
+    amplitude: float
+    error: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True)
 class OwnWear(FrozenArrays):
     """What the points of a wheelset alone say of rate and change of its wear, by length and wandering.
 
@@ -51,6 +60,7 @@ class OwnWear(FrozenArrays):
     information: Annotated[FloatArray, "n", 2, 2]
     moment: Annotated[FloatArray, "n", 2]
     evidence: Annotated[FloatArray, "n"]
+    beyond: tuple[BeyondReached, ...] = ()  # where it reaches the limit's amplitude; ``std`` is the catalogue's
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +96,7 @@ class FleetWear:
 
     components: tuple[WearComponent, ...]
     others: int  # wheelsets that say it
+    beyond: tuple[BeyondReached, ...] = ()  # what those say that reach the limit's amplitude; ``std`` is of one more
 
 
 OWN_WEAR = ResultKind("own_wear", SubjectKind.WHEELSET, OwnWear, History.NEWEST)
