@@ -9,8 +9,9 @@ level and slope at the last point, and the distribution of the distance to the l
 from __future__ import annotations
 
 import argparse
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from bench.forecast_scores import COLUMNS, ForecastFigures, Happened, Prediction
 from bench.report import Bench, Part, ResultTable, say
 from bench.scores import Cluster, Figures, compared
 from bench.wear_lives import ALIKE, DEMO, MIXED, OF_LAWS, Life, Observed, Railway, lives
+from estimation.trend.fleet import fleet_priors, own_wear
 from estimation.trend.trend import refresh
 from estimation.values.arrays import FloatArray
 from estimation.values.trend import TrendPoint, WearTrend
@@ -92,19 +94,32 @@ def of_trends(fit: Callable[[Sequence[Observed]], Sequence[WearTrend]]) -> Fitte
 
 
 def trend_points(observed: Observed) -> list[TrendPoint]:
-    """Return the points of a wheelset with their whole standard deviations."""
-    columns = zip(
-        observed.x.tolist(), observed.days.tolist(), observed.value.tolist(), observed.std.tolist(), strict=True
-    )
-    return [TrendPoint(km, round(days * DAY_NS), value, std) for km, days, value, std in columns]
+    """Return the points of a wheelset with their standard deviations, and the part that is noise."""
+    names = ("x", "days", "value", "std", "noise")
+    columns = zip(*(getattr(observed, name).tolist() for name in names), strict=True)
+    return [TrendPoint(km, round(days * DAY_NS), value, std, noise) for km, days, value, std, noise in columns]
 
 
 def alone(observed: Sequence[Observed]) -> list[WearTrend]:
     """Return the trend of every wheelset by itself, every standard deviation taken as noise."""
-    return [refresh(trend_points(one), one.limit) for one in observed]
+    given = [[replace(point, noise=None) for point in trend_points(one)] for one in observed]
+    return [refresh(points, one.limit) for points, one in zip(given, observed, strict=True)]
 
 
-FITTERS: Mapping[str, Fitter] = {"product": of_trends(alone)}
+def in_fleets(observed: Sequence[Observed]) -> list[WearTrend]:
+    """Return the trends as the stages make them: of each fleet all positions together, since each has few wheelsets."""
+    trends: dict[int, WearTrend] = {}
+    fleets: defaultdict[tuple[str, str], list[int]] = defaultdict(list)
+    for number, one in enumerate(observed):
+        fleets[one.vehicle_class, one.line].append(number)
+    for numbers in fleets.values():
+        said = fleet_priors([own_wear(observed[n].x, observed[n].value, observed[n].noise, 0.0) for n in numbers])
+        for n, fleet in zip(numbers, said, strict=True):
+            trends[n] = refresh(trend_points(observed[n]), observed[n].limit, fleet=fleet, origin_km=0.0)
+    return [trends[number] for number in range(len(observed))]
+
+
+FITTERS: Mapping[str, Fitter] = {"product": of_trends(in_fleets), "alone": of_trends(alone)}
 """By the names that ``--fitters`` takes."""
 
 LAW_COVER, LAW_TOLERATED = (0.74, 0.86), (0.71, 0.89)  # of 80 % intervals, in every law
