@@ -58,10 +58,15 @@ class CurveParameters:
     negligible_share: float = 1e-3  # of all nodes, which the lightest have together: nothing shown changes without
     tail_factors: tuple[float, ...] = (1.0, 3.0, 10.0)  # a wheelset is like its fleet, less so, or has left it
     tail_prior: tuple[float, ...] = (0.88, 0.1, 0.02)
+    tail_behind: tuple[float, ...] = (0.3, 0.4, 0.3)  # behind a knee
     # change point
     noise_shares: tuple[float, float] = (0.02, 3.0)  # of the stated stds, that are tried
     noise_points: int = 9
     # trend
+    falling_share: float = 0.05  # of wheelsets whose conicity may fall as well as grow, where wear is known beforehand
+    growing_km: float = 1.0e5  # over which it grows
+    least_growing: float = 1e-9  # chance of it, below which moments are those at it
+    last_shared: int = 3  # newest points whose common error counts
     points_ahead: int = 61  # distances to the horizon at which the probability is kept
 
 

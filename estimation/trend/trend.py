@@ -12,9 +12,10 @@ from estimation.trend.change_point import CONICITY, ChangePoint, Series, newest_
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, by_amplitude
 from estimation.trend.now import QUANTILES, probability_above
 from estimation.trend.parameters import CURVES
+from estimation.trend.points import PointColumns, columns_of
 from estimation.trend.wear_curve import WearCurve, fit_wear_curve
 from estimation.values.alerts import NO_FORECAST
-from estimation.values.arrays import FloatArray, IntArray
+from estimation.values.arrays import FloatArray
 from estimation.values.geometry import IntervalConicities, KnownConicity
 from estimation.values.memory import MEMORY
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
@@ -108,7 +109,7 @@ def refresh(
             trend is ``unestimated`` and says why; ``fitted`` is then the last value itself, where there is one.
     """
     params = params or TrendParameters()
-    columns = _columns(points, params)
+    columns = columns_of(points, params.smallest_std)
     lacking = _lacking(columns, params)
     if lacking is not None:
         why = replace(lacking, text="; ".join(str(reason) for reason in (note, lacking) if reason is not None))
@@ -131,44 +132,8 @@ def refresh(
 
 def points_of(points: Sequence[TrendPoint], params: TrendParameters) -> PointColumns | None:
     """Return the points of a trend in their order; None where they are too few for one."""
-    columns = _columns(points, params)
+    columns = columns_of(points, params.smallest_std)
     return None if _lacking(columns, params) is not None else columns
-
-
-def _columns(points: Sequence[TrendPoint], params: TrendParameters) -> PointColumns:
-    usable = sorted(
-        (p for p in points if np.isfinite([p.mileage_km, p.value, p.std]).all() and p.std > 0.0),
-        key=lambda p: (p.mileage_km, p.measured_ns, p.value, p.std),
-    )
-    return PointColumns(
-        np.array([p.mileage_km for p in usable], dtype=np.float64),
-        np.array([p.measured_ns for p in usable], dtype=np.int64),
-        np.array([p.value for p in usable], dtype=np.float64),
-        np.array([max(p.std, params.smallest_std) for p in usable], dtype=np.float64),
-        np.array([_noise(p, params) for p in usable], dtype=np.float64),
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class PointColumns:
-    """The points of a trend, in order of mileage."""
-
-    mileage_km: FloatArray
-    measured_ns: IntArray
-    value: FloatArray
-    std: FloatArray
-    noise: FloatArray  # part of it that differs from point to point
-
-    @property
-    def shared_std(self) -> float:
-        """What the errors of all points have in common."""
-        return float(np.median(np.sqrt(np.maximum(self.std**2 - self.noise**2, 0.0))))
-
-
-def _noise(point: TrendPoint, params: TrendParameters) -> float:
-    """Return the part of an error that differs from point to point; one that is no number is all of it."""
-    noise = point.noise if point.noise is not None and np.isfinite(point.noise) else point.std
-    return max(min(noise, point.std), params.smallest_std)
 
 
 def _lacking(points: PointColumns, params: TrendParameters) -> Reason | None:
@@ -221,15 +186,17 @@ def _estimated(
 ) -> WearTrend:
     prior = None if fleet is None else fleet.components
     by_distance = fit_recent(points.mileage_km, points.value, points.noise, params, prior, origin_km)
-    by_distance = _with_common_errors(by_distance, points, params)
+    by_distance = _believed(by_distance, points, params, None if prior is None else CURVES.growing_km)
     count = float(by_distance.share.sum())
     order = np.argsort(points.measured_ns, kind="stable")
     since, by_date = points.measured_ns[order] - points.measured_ns.max(), None
     slope_per_year, date = Estimate.unknown(ONE_DATE, count), NO_FORECAST
     if since[0] != 0:
         years, value, noise = since / YEAR_NS, points.value[order], points.noise[order]
-        of_years, origin = _by_date(points, years, prior, origin_km)
-        by_date = _with_common_errors(fit_recent(years, value, noise, params, of_years, origin), points, params)
+        km_per_year = float((points.mileage_km[-1] - points.mileage_km[0]) / (years[-1] - years[0]))
+        of_years, origin = _by_date(km_per_year, float(points.mileage_km[0]), float(years[0]), prior, origin_km)
+        by_date = fit_recent(years, value, noise, params, of_years, origin)
+        by_date = _believed(by_date, points, params, None if prior is None else CURVES.growing_km / km_per_year)
         slope_per_year = by_date.slope_now().estimate(count)
         ahead = _forecast(by_date, limit, params.horizon_years)
         last = int(points.measured_ns.max())
@@ -253,19 +220,26 @@ def _estimated(
     )
 
 
-def _with_common_errors(curve: WearCurve, points: PointColumns, params: TrendParameters) -> WearCurve:
-    """Return the curve with the errors that all points have in common: of scale, and of the level."""
+def _believed(curve: WearCurve, points: PointColumns, params: TrendParameters, growing: float | None) -> WearCurve:
+    """Return the curve with the errors that all points have in common: of scale, and of the level.
+
+    ``growing`` is the distance over which the indicator is known to grow; None where nothing is known beforehand.
+    """
+    curve = curve if growing is None else curve.growing(growing, CURVES.falling_share)
     shared = points.shared_std
     of_scale = min(shared, params.scale_std * abs(float(curve.weight @ curve.level)))
     return curve.scaled(params.scale_std, of_scale).shifted(float(np.sqrt(shared**2 - of_scale**2)))
 
 
 def _by_date(
-    points: PointColumns, years: FloatArray, prior: Sequence[WearComponent] | None, origin_km: float | None
+    km_per_year: float,
+    first_km: float,
+    first_year: float,
+    prior: Sequence[WearComponent] | None,
+    origin_km: float | None,
 ) -> tuple[Sequence[WearComponent] | None, float | None]:
     """Return what is known beforehand, over years in place of km, and when the profile began to wear."""
-    km_per_year = float((points.mileage_km[-1] - points.mileage_km[0]) / (years[-1] - years[0]))
-    origin = None if origin_km is None else float(years[0]) - (float(points.mileage_km[0]) - origin_km) / km_per_year
+    origin = None if origin_km is None else first_year - (first_km - origin_km) / km_per_year
     return None if prior is None else [component.per(km_per_year) for component in prior], origin
 
 

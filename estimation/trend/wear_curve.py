@@ -62,6 +62,44 @@ class WearCurve:
         off = np.stack([np.full_like(self.slope, level_std), std * self.slope, std * self.damped], axis=1)
         return replace(self, covariance=self.covariance + off[:, :, None] * off[:, None, :])
 
+    def growing(self, ahead: float, falling_share: float) -> WearCurve:
+        """Return the curve of an indicator that grows: whose slope now and ``ahead`` is below 0 in a small share only.
+
+        A node is split: what is believed of it as it is, and the part with a slope above 0, by its first two moments.
+        """
+        lasts = np.isinf(self.length)
+        later = np.where(lasts, ahead, -np.expm1(-ahead / self.length))
+        mean, C = np.stack([self.level, self.slope, self.damped], axis=1), self.covariance
+        chance = np.ones(len(self.weight))
+        for of_damped in (np.zeros_like(later), later):
+            slope = mean[:, 1] + of_damped * mean[:, 2]
+            with_all = C[:, :, 1] + of_damped[:, None] * C[:, :, 2]  # covariances with that slope
+            std = np.sqrt(with_all[:, 1] + of_damped * with_all[:, 2])
+            # moments of the part above 0 of a normal distribution
+            share = np.maximum(ndtr(slope / std), CURVES.least_growing)
+            hazard = np.exp(-0.5 * (slope / std) ** 2) / np.sqrt(2.0 * np.pi) / share
+            toward = with_all / std[:, None]
+            mean = mean + toward * hazard[:, None]
+            less = np.minimum(hazard * (hazard + slope / std), 1.0)
+            C = C - toward[:, :, None] * toward[:, None, :] * less[:, None, None]
+            chance *= share
+        weight = np.concatenate([falling_share * self.weight, (1.0 - falling_share) * chance * self.weight])
+        level, slope, damped = (np.concatenate(pair) for pair in zip(self._means, mean.T, strict=True))
+        return replace(
+            self,
+            weight=weight / weight.sum(),
+            level=level,
+            slope=slope,
+            damped=damped,
+            covariance=np.concatenate([self.covariance, C]),
+            wandering=np.tile(self.wandering, 2),
+            length=np.tile(self.length, 2),
+        )
+
+    @property
+    def _means(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return self.level, self.slope, self.damped
+
     def level_now(self) -> NormalMixture:
         """Return the distribution of the fitted value at the last point."""
         return NormalMixture(self.weight, self.level, np.sqrt(self.covariance[:, 0, 0]))

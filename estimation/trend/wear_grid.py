@@ -46,6 +46,7 @@ class Shapes:
     """Components of the prior, in units of the points."""
 
     weight: FloatArray  # (n,)
+    weight_behind: FloatArray  # (n,) of one that has a knee, and may have left its fleet with it
     lengths: FloatArray  # (l,)
     which: IntArray  # (n,) number of the length of each
     precision: FloatArray  # (n, 2, 2) of rate and change; a rate of none is flat
@@ -112,8 +113,10 @@ def _alone(points: ScaledPoints, slope: float) -> Shapes:
     # a change that is still to come at the last point is what is left of that at the first one
     precision = np.zeros((len(bends), 2, 2))
     precision[:, 1, 1] = 1.0 / (bends * np.exp((points.age + 1.0) / lengths[which])) ** 2
+    weight = np.tile(CURVES.bend_prior, len(lengths)) / len(lengths)
     return Shapes(
-        weight=np.tile(CURVES.bend_prior, len(lengths)) / len(lengths),
+        weight=weight,
+        weight_behind=weight,
         lengths=lengths,
         which=which,
         precision=precision,
@@ -138,6 +141,7 @@ def _of_fleet(points: ScaledPoints, prior: Sequence[WearComponent]) -> Shapes:
     count = len(wider)
     return Shapes(
         weight=np.outer(weight, CURVES.tail_prior).ravel(),
+        weight_behind=np.outer(weight, CURVES.tail_behind).ravel(),
         lengths=lengths,
         which=np.repeat(which, count),
         precision=np.linalg.inv((covariance[:, None] * wider[:, None, None]).reshape(-1, 2, 2)),
@@ -223,8 +227,8 @@ def solve(
     gain = freed[:, None] / open_share
     of_knee = 0.5 * (np.log1p(-freed / held)[:, None] - np.log(open_share) + gain * beta[..., 3:] ** 2)
     log_weight = log_weight[..., None] + np.log(chance) + np.concatenate([np.zeros((*C.shape[:2], 1)), of_knee], axis=2)
-    prior = scatter_prior[:, None] * shapes.weight
-    weight = prior[..., None] * np.exp(log_weight - log_weight.max())
+    of_shape = np.column_stack([shapes.weight, *[shapes.weight_behind] * knees])
+    weight = scatter_prior[:, None, None] * of_shape * np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
     moved = gain * beta[..., 3:]  # by how much of a column of C
     mean = weight.sum(axis=2)[..., None] * beta + np.einsum("snij,snj->sni", C[..., 3:], weight[..., 1:] * moved)

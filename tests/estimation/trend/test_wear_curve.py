@@ -95,6 +95,7 @@ def test_every_node_equals_generalised_least_squares_with_the_whole_covariance()
     scatter, mean, design = np.array([0.7, 1.3]), np.array([0.2, -0.4]), points.design(1.0)
     shapes = Shapes(
         weight=np.ones(1),
+        weight_behind=np.ones(1),
         lengths=np.ones(1),
         which=np.zeros(1, dtype=np.int64),
         precision=np.diag(bend**-2.0)[None],
