@@ -1,8 +1,8 @@
-"""Whether an alert says another thing than the reader of the feed was told last: something to decide by.
+"""Whether an alert says another thing than the feed contained last: something to decide by.
 
 That is its severity, condition, action, limits or acknowledgement; the urgency of its wheelset; a code or a word of its
-evidence; the band of its probability; the date of the limit; and a number that left the interval that was told. What
-was told last is kept beside the delays of the alert, so that what creeps is told in the end.
+evidence; the band of its probability; the date of the limit; and a number that left the interval that was published. What
+was published last is kept beside the delays of the alert, so that what creeps is published in the end.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from estimation.values.fields import JsonValue
 SAID = ("reason", "unknown_because")  # sentences: codes and numbers say it already
 NEWEST = ("from_ns", "to_ns", "last_usable_ns")  # of the data, which go on
 NOW = ("distance_to_limit_km", "probability_over_limit")  # change with every kilometre; the date does not
-DATE, DELAYS, TOLD = "date_of_limit_ns", "delays", "told"
+DATE, DELAYS, PUBLISHED = "date_of_limit_ns", "delays", "published"
 QUANTILES = ("p10", "p50", "p90")
 
 
 def snapshot(alert: Alert) -> dict[str, JsonValue]:
-    """Return what a reader is told of numbers and dates."""
+    """Return what a reader gets of numbers and dates."""
     return {
         "probability": alert.probability,
         "at_ns": alert.last_seen_ns,
@@ -32,22 +32,22 @@ def snapshot(alert: Alert) -> dict[str, JsonValue]:
     }
 
 
-def told_of(alert: Alert) -> Mapping[str, JsonValue]:
-    """Return what was told of an alert last; as it is, where nobody noted that."""
+def published_of(alert: Alert) -> Mapping[str, JsonValue]:
+    """Return what was published of an alert last; as it is, where nobody noted that."""
     delays = alert.evidence.get(DELAYS)
-    told = delays.get(TOLD) if isinstance(delays, dict) else None
-    return told if isinstance(told, dict) else snapshot(alert)
+    published = delays.get(PUBLISHED) if isinstance(delays, dict) else None
+    return published if isinstance(published, dict) else snapshot(alert)
 
 
-def differs(told: Mapping[str, JsonValue], before: Alert, after: Alert) -> bool:
-    """Return whether an alert says another thing than before, and than what was told last."""
-    if _plain(before) != _plain(after) or _in_band(told.get("probability"), after.probability):
+def differs(published: Mapping[str, JsonValue], before: Alert, after: Alert) -> bool:
+    """Return whether an alert says another thing than before, and than what was published last."""
+    if _plain(before) != _plain(after) or _in_band(published.get("probability"), after.probability):
         return True
-    was, now = told.get("evidence"), snapshot(after)["evidence"]
+    was, now = published.get("evidence"), snapshot(after)["evidence"]
     if not isinstance(was, dict) or not isinstance(now, dict):
         return True
     exact = after.wheelset is None and after.track_section is None  # of a fleet: how many members
-    at_ns = told.get("at_ns")
+    at_ns = published.get("at_ns")
     if _date_moved(was.get(DATE), now.get(DATE), at_ns if isinstance(at_ns, int) else after.last_seen_ns):
         return True
     pairs = dict(_leaves("", was)), dict(_leaves("", now))
@@ -77,7 +77,7 @@ def _log_odds(probability: float) -> float:
 
 
 def _date_moved(was: JsonValue, now: JsonValue, at_ns: int) -> bool:
-    """Return whether the date of the limit left the interval that was told, or a share of what was left then."""
+    """Return whether the date of the limit left the interval that was published, or a share of what was left then."""
     if not isinstance(was, dict) or not isinstance(now, dict):
         return isinstance(was, dict) != isinstance(now, dict)
     low, middle, high = (_beyond_if_none(was.get(name)) for name in QUANTILES)

@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated
 
-from estimation.alerts.decision import DELAYS, TOLD, differs, snapshot, told_of
+from estimation.alerts.decision import DELAYS, PUBLISHED, differs, published_of, snapshot
 from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError, InputError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition
@@ -191,9 +191,9 @@ def updated(before: Alert, after: Alert) -> Transition | None:
     """Return the change, with an event only where a reader of the feed decides otherwise; None where there is none."""
     if before == after:
         return None
-    told = told_of(before)
-    news = differs(told, before, after)
-    counters = {**_counters(after), TOLD: snapshot(after) if news else dict(told)}
+    published = published_of(before)
+    news = differs(published, before, after)
+    counters = {**_counters(after), PUBLISHED: snapshot(after) if news else dict(published)}
     noted = replace(after, evidence={**after.evidence, DELAYS: counters})
     return Transition(noted, (AlertEventKind.UPDATED,) if news else ())
 

@@ -18,11 +18,13 @@ class FindingParameters:
     outer_range: tuple[float, float] = (2.0e-3, 3.5e-3)  # m: what is compared with it
     # life cycle
     probability_bands: tuple[float, ...] = (0.05, 0.5, 0.8, 0.95, 0.99)
-    # what is told anew
-    band_log_odds: float = 0.4  # of a probability in another band, from what was told: not to and fro about its edge
+    # what is published again
+    band_log_odds: float = (
+        0.4  # of a probability in another band, from what was published: not to and fro about its edge
+    )
     least_probability: float = 1e-3  # beyond it odds say nothing more
     date_share: float = 0.33  # of what was left to the date of the limit, by which it has moved
-    number_share: float = 0.5  # of what was told, by which a number without an interval has changed
+    number_share: float = 0.5  # of what was published, by which a number without an interval has changed
     # trend
     named_probability: float = 0.1  # share of a cause that the sentence names
     design_std: float = 0.02  # of the conicity of turned wheels about that of their design

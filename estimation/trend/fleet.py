@@ -3,7 +3,7 @@
 Of each wheelset stands what its points alone say of rate and change (:class:`OwnWear`), for every length over which a
 change may die out and every strength of wandering. Rate and change of the wheelsets of a fleet are normal about a mean,
 with a spread; a wheelset that is far off counts less. Mean and spread have a weakly informed prior, and are averaged
-over a grid by the marginal likelihood of the other wheelsets: what one is told never rests on its own points.
+over a grid by the marginal likelihood of the other wheelsets: what is said of one never rests on its own points.
 """
 
 from __future__ import annotations

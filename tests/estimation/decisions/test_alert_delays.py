@@ -133,7 +133,7 @@ def forecast_evidence(*days: float | None, slope: float = 0.03) -> dict[str, Jso
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "published"),
     [
         (forecast_evidence(90, 110, 180), False),
         (forecast_evidence(60, 68, 180), False),  # a third of 100 days that were left is 33
@@ -148,11 +148,11 @@ def forecast_evidence(*days: float | None, slope: float = 0.03) -> dict[str, Jso
         (forecast_evidence(80, None, None), True),
     ],
 )
-def test_an_update_is_published_where_a_date_or_a_number_leaves_what_was_told(
-    changed: dict[str, JsonValue], *, told: bool
+def test_an_update_is_published_where_a_date_or_a_number_leaves_what_was_published(
+    changed: dict[str, JsonValue], *, published: bool
 ) -> None:
     alert = raised(evidence=forecast_evidence(50, 100, 200))
-    assert moved(alert, finding(2, evidence=changed)).events == (UPDATED if told else NO_EVENT)
+    assert moved(alert, finding(2, evidence=changed)).events == (UPDATED if published else NO_EVENT)
 
 
 def test_an_update_is_published_of_what_matters() -> None:

@@ -42,7 +42,7 @@ def said(storage: Storage) -> dict[str, FleetWear | None]:
 
 
 @on_sqlite
-def test_a_wheelset_of_few_points_is_told_by_its_fleet(storage: Storage) -> None:
+def test_a_wheelset_of_few_points_begins_with_what_its_fleet_says(storage: Storage) -> None:
     register(storage, *SERIALS)
     for serial in SERIALS[:3]:
         wear(storage, serial, 120, rate=0.001)
@@ -52,11 +52,11 @@ def test_a_wheelset_of_few_points_is_told_by_its_fleet(storage: Storage) -> None
     learnt = run_job(refresh_fleet.JOB, context(storage, 121.0), JobTrigger.CLI)
     assert learnt.counts == {"wheelsets": 4, "refreshed": 4, "unchanged": 0, "learnt": 4, "quarantined": 0}
     run_job(refresh_trends.JOB, context(storage, 121.1), JobTrigger.CLI)
-    told = slope_of(storage, "W4")
+    pooled = slope_of(storage, "W4")
     assert alone.std is not None
-    assert told.std is not None
-    assert told.value == pytest.approx(0.001, abs=0.0003)
-    assert told.std < 0.5 * alone.std
+    assert pooled.std is not None
+    assert pooled.value == pytest.approx(0.001, abs=0.0003)
+    assert pooled.std < 0.5 * alone.std
     assert {serial: of.others for serial, of in said(storage).items() if of is not None} == dict.fromkeys(SERIALS, 3)
 
 

@@ -118,7 +118,7 @@ def test_what_is_said_of_a_wheelset_does_not_rest_on_its_own_points() -> None:
     assert rates[0] == pytest.approx(rates[1], rel=0.15)  # what it is like decides how far others count, no more
 
 
-def test_a_lone_wheelset_is_told_what_is_known_of_any() -> None:
+def test_a_lone_wheelset_gets_what_is_known_of_any() -> None:
     fleet, _ = fleet_of(4, count=1)
     (said,) = said_of(fleet)
     assert said.others == 0
