@@ -1,8 +1,8 @@
 """Whether an alert says another thing than the feed contained last: something to decide by.
 
 That is its severity, condition, action, limits or acknowledgement; the urgency of its wheelset; a code or a word of its
-evidence; the band of its probability; the date of the limit; and a number that left the interval that was published. What
-was published last is kept beside the delays of the alert, so that what creeps is published in the end.
+evidence; the band of its probability; the date of the limit; and a number that left the interval that was published.
+What was published last is kept beside the delays of the alert, so that what creeps is published in the end.
 """
 
 from __future__ import annotations

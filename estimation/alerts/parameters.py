@@ -20,7 +20,7 @@ class FindingParameters:
     probability_bands: tuple[float, ...] = (0.05, 0.5, 0.8, 0.95, 0.99)
     # what is published again
     band_log_odds: float = (
-        0.4  # of a probability in another band, from what was published: not to and fro about its edge
+        0.4  # of a probability in another band, from what was published
     )
     least_probability: float = 1e-3  # beyond it odds say nothing more
     date_share: float = 0.33  # of what was left to the date of the limit, by which it has moved
