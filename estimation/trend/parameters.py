@@ -41,21 +41,21 @@ class CurveParameters:
     outlier_share: float = 0.05
     outlier_stds: float = 10.0
     points_for_outliers: int = 5  # with fewer, an outlier cannot be identified
-    scatter_nodes: int = 12
+    scatter_nodes: int = 8
     scatter_scale: float = 0.4  # half-Cauchy scale of tau, in median standard deviations
     wandering_share: float = 0.3  # of the bend's standard deviation
     least_std_share: float = 1e-3  # of the median std: a better point cannot make the others count for nothing
     diagonal_jitter: float = 1e-13  # on a unit diagonal: of the order of the rounding of the sums
     fit_rounds: int = 25
     probability_margin: float = 1e-9  # far more than rounding: what comes as near is computed again by itself
-    share_tolerance: float = 1e-7  # far below what a result shows
-    horizon_points: int = 240  # at which a limit may have been reached
+    share_tolerance: float = 1e-4  # far below what a result shows
+    horizon_points: int = 160  # at which a limit may have been reached
     bend_nodes: tuple[float, ...] = (0.01, 0.15, 0.4, 1.0)  # change of slope over the observed span, in slopes
     bend_prior: tuple[float, ...] = (0.4, 0.2, 0.2, 0.2)
     lengths_alone: tuple[float, ...] = (1.0,)  # over which a change of slope dies out, in observed spans
     knee_share: float = 0.7  # std of a change of rate at once, in rates
-    knee_chance: float = 0.15  # within an observed span
-    negligible_share: float = 1e-3  # of all nodes, which the lightest have together: nothing shown changes without
+    knee_chance: float = 0.3  # within an observed span
+    negligible_share: float = 3e-3  # of all nodes, which the lightest have together: nothing shown changes without
     tail_factors: tuple[float, ...] = (1.0, 3.0, 10.0)  # a wheelset is like its fleet, less so, or has left it
     tail_prior: tuple[float, ...] = (0.88, 0.1, 0.02)
     tail_behind: tuple[float, ...] = (0.3, 0.4, 0.3)  # behind a knee
@@ -91,7 +91,7 @@ class FleetParameters:
     tail_share: float = 0.1  # of wheelsets that left their fleet
     tail_factor: float = 3.0  # by which these are spread wider
     rounds: int = 8
-    least_weight: float = 0.01  # of a component that is kept
+    least_weight: float = 0.03  # of a component that is kept
     # extrapolation beside wheelsets that reach the limit's amplitude
     fewest_beyond: int = 2  # of them that say something
     alike_share: float = 0.3  # std between wheelsets of a fleet as expected, in that of the catalogue
