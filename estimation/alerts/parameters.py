@@ -19,9 +19,7 @@ class FindingParameters:
     # life cycle
     probability_bands: tuple[float, ...] = (0.05, 0.5, 0.8, 0.95, 0.99)
     # what is published again
-    band_log_odds: float = (
-        0.4  # of a probability in another band, from what was published
-    )
+    band_log_odds: float = 0.4  # of a probability in another band, from what was published
     least_probability: float = 1e-3  # beyond it odds say nothing more
     date_share: float = 0.33  # of what was left to the date of the limit, by which it has moved
     number_share: float = 0.5  # of what was published, by which a number without an interval has changed

@@ -10,8 +10,9 @@ import pytest
 
 from estimation.trend.extrapolation import beyond_reached, extrapolated
 from estimation.trend.fleet import beyond_of, fleet_priors, own_wear, usual_wear
-from estimation.trend.parameters import FLEET
+from estimation.trend.parameters import CURVES, FLEET
 from estimation.trend.trend import refresh
+from estimation.trend.wear_curve import WearCurve
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import IntervalConicities, KnownConicity
 from estimation.values.quantities import Estimate
@@ -160,6 +161,32 @@ def test_a_slope_is_never_surer_than_the_scale_of_its_wheelset() -> None:
     assert trend.slope_per_1000_km.std == pytest.approx(0.05 * 1e3 * RATE, rel=0.05)
 
 
+def test_what_grows_is_what_draws_of_growing_wear_say() -> None:
+    """Slopes now and 100,000 km ahead are above 0, but for the share that may fall."""
+    mean = np.array([0.2, 2e-7, -1e-7])
+    root = np.array([[0.01, 0.0, 0.0], [-2e-7, 4e-7, 0.0], [0.0, 1e-7, 2e-7]])
+    curve = WearCurve(
+        weight=np.ones(1),
+        level=mean[:1],
+        slope=mean[1:2],
+        damped=mean[2:],
+        covariance=(root @ root.T)[None],
+        wandering=np.zeros(1),
+        length=np.array([8e4]),
+        share=np.ones(5),
+    )
+    grown = curve.growing(1e5, CURVES.falling_share)
+    draws = mean + np.random.default_rng(1).standard_normal((400_000, 3)) @ root.T
+    grows = (draws[:, 1] > 0.0) & (draws[:, 1] + draws[:, 2] * -np.expm1(-1e5 / 8e4) > 0.0)
+    weight = np.where(grows, 1.0, 0.05)
+    for distance in (0.0, 1e5, 3e5):
+        later = distance - 8e4 * -np.expm1(-distance / 8e4)
+        true = np.average(draws[:, 0] + draws[:, 1] * distance + draws[:, 2] * later, weights=weight)
+        found = grown.level_after(distance)
+        assert float(found.weight @ found.mean) == pytest.approx(true, abs=0.05 * (true - mean[0]) + 5e-4)
+    assert grown.slope_now().above(0.0) > 0.93
+
+
 NOTHING = OwnWear(3e-3, np.zeros((15, 2, 2)), np.zeros((15, 2)), np.zeros(15))
 
 
@@ -169,6 +196,7 @@ def reaching(*errors: float) -> list[OwnWear]:
 
 def test_wheelsets_that_reach_the_amplitude_show_by_how_much_the_catalogue_is_off() -> None:
     assert beyond_of(reaching(0.03)) == ()
+    assert len(beyond_of(reaching(0.03, 0.03))) == 1
     (shown,) = beyond_of(reaching(0.030, 0.034, 0.026, 0.030))
     between = (2.0 * (0.3 * 0.06) ** 2 + 2.0 * 0.004**2) / 5.0
     assert shown.amplitude == 2.5e-3
