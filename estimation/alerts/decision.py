@@ -48,7 +48,8 @@ def differs(published: Mapping[str, JsonValue], before: Alert, after: Alert) -> 
         return True
     exact = after.wheelset is None and after.track_section is None  # of a fleet: how many members
     at_ns = published.get("at_ns")
-    if _date_moved(was.get(DATE), now.get(DATE), at_ns if isinstance(at_ns, int) else after.last_seen_ns):
+    times = at_ns if isinstance(at_ns, int) else after.last_seen_ns, after.last_seen_ns
+    if _date_moved(was.get(DATE), now.get(DATE), times):
         return True
     pairs = dict(_leaves("", was)), dict(_leaves("", now))
     if pairs[0].keys() != pairs[1].keys():
@@ -76,15 +77,22 @@ def _log_odds(probability: float) -> float:
     return math.log(held / (1.0 - held))
 
 
-def _date_moved(was: JsonValue, now: JsonValue, at_ns: int) -> bool:
-    """Return whether the date of the limit left the interval that was published, or a share of what was left then."""
+def _date_moved(was: JsonValue, now: JsonValue, times: tuple[int, int]) -> bool:
+    """Return whether the date of the limit left the interval that was published, or a share of what was left then.
+
+    ``times`` are those of the data then and now: a limit that is as good as reached has no date to plan by.
+    """
     if not isinstance(was, dict) or not isinstance(now, dict):
         return isinstance(was, dict) != isinstance(now, dict)
     low, middle, high = (_beyond_if_none(was.get(name)) for name in QUANTILES)
     date = _beyond_if_none(now.get("p50"))
     if math.isinf(date) and math.isinf(middle):
         return False
-    return not low <= date <= high or abs(date - middle) > FINDINGS.date_share * max(middle - at_ns, 0.0)
+    left = max(middle - times[0], 0.0)
+    reached = left <= FINDINGS.least_shift_ns and date - times[1] <= FINDINGS.least_shift_ns
+    if reached or abs(date - middle) <= FINDINGS.least_shift_ns:
+        return False
+    return not low <= date <= high or abs(date - middle) > FINDINGS.date_share * left
 
 
 def _beyond_if_none(date: JsonValue) -> float:

@@ -22,6 +22,7 @@ class FindingParameters:
     band_log_odds: float = 0.4  # of a probability in another band, from what was published
     least_probability: float = 1e-3  # beyond it odds say nothing more
     date_share: float = 0.33  # of what was left to the date of the limit, by which it has moved
+    least_shift_ns: int = 14 * DAY_NS  # of the date, that a plan of the workshop notices
     number_share: float = 0.5  # of what was published, by which a number without an interval has changed
     # trend
     named_probability: float = 0.1  # share of a cause that the sentence names

@@ -155,6 +155,17 @@ def test_an_update_is_published_where_a_date_or_a_number_leaves_what_was_publish
     assert moved(alert, finding(2, evidence=changed)).events == (UPDATED if published else NO_EVENT)
 
 
+@pytest.mark.parametrize(("shift", "news"), [(13, False), (15, True)])
+def test_a_date_moves_by_two_weeks_at_least_and_not_where_the_limit_is_reached(shift: int, *, news: bool) -> None:
+    alert = raised(evidence=forecast_evidence(20, 30, 40))
+    assert moved(alert, finding(2, evidence=forecast_evidence(20, 30 + shift, 60))).events == (
+        UPDATED if news else NO_EVENT
+    )
+    reached = raised(evidence=forecast_evidence(0, 1, 40))
+    late = finding(50 * DAY, evidence=forecast_evidence(50, 50 + shift, 90))
+    assert moved(reached, late).events == (UPDATED if news else NO_EVENT)
+
+
 def test_an_update_is_published_of_what_matters() -> None:
     alert = raised()
     for change in ({"severity": Severity.CRITICAL}, {"evidence": {"x": 2}}, {"action": "other"}, {"raise_limit": 3.0}):
