@@ -42,7 +42,7 @@ class CurveParameters:
     outlier_stds: float = 10.0
     points_for_outliers: int = 5  # with fewer, an outlier cannot be identified
     scatter_nodes: int = 8
-    scatter_scale: float = 0.4  # half-Cauchy scale of tau, in median standard deviations
+    scatter_scale: float = 0.6  # half-Cauchy scale of tau, in median standard deviations
     wandering_share: float = 0.3  # of the bend's standard deviation
     least_std_share: float = 1e-3  # of the median std: a better point cannot make the others count for nothing
     diagonal_jitter: float = 1e-13  # on a unit diagonal: of the order of the rounding of the sums
