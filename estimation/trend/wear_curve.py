@@ -5,9 +5,10 @@ Model, with ``a`` the distance or time since the profile began to wear::
     value_i = level + wear(a_i) + noise_i,    noise_i ~ N(0, (std_i^2 + tau^2) / lambda_i)
     wear'(a) = rate + change exp(-a / length) + wandering(a)
 
-The rate goes from one at the begin to a lasting one, or grows as ``rate + change a``: wear that saturates, accelerates or
-runs in is carried on into the forecast. It may change at once at one of the knots, a knee. The rate wanders besides, as a random walk (at knots before the last point, continuously after it),
-so that a forecast far beyond what was observed is wide. Rate and change have a prior from the fleet
+The rate goes from one at the begin to a lasting one, or grows as ``rate + change a``: wear that saturates, accelerates
+or runs in is carried on into the forecast. It may change at once at one of the knots, a knee. It
+wanders besides, as a random walk (at knots before the last point, continuously after it), so that a forecast
+far beyond what was observed is wide. Rate and change have a prior from the fleet
 (``estimation.trend.fleet``), or none: the rate is then flat, the change in shares of a pilot slope. Extra scatter
 ``tau`` covers standard deviations that were too small. Outliers are noise from a second, ten times wider normal;
 ``lambda_i`` is the precision this leaves each point (expectation-maximisation). ``tau``, lengths, wandering and the
