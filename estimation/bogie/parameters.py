@@ -1,0 +1,45 @@
+"""Numbers of the estimation of a bogie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class BogieFitParameters:
+    """How the curves of both wheelsets and the springs of a bogie are found together."""
+
+    # grid and band of the equations
+    grid_step: float = 0.25  # m, of the means along the track: a tenth of the shortest wave
+    segment_m: float = 512.0  # of the Fourier transforms, half overlapping
+    longest_wave: float = 130.0  # m: four waves in a segment; longer ones are drift of the yaw sensors
+    shortest_wave: float = 2.5  # m: shorter than the wheelbase, and than what a chord surveys
+    trend_order: int = 3  # of the polynomial in distance that is taken from every segment
+    # displacement by which a curve is looked up
+    carried_wave: float = 35.0  # m: longer waves of y - d are the simulation's
+    smoothed_m: float = 1.25  # half of the shortest wave of y - d that is the measured one's
+    # curves
+    node_step: float = 0.25e-3  # m
+    reach: float = 7.0e-3  # m
+    bend_std: float = 0.02e-3  # m, second difference of R from node to node beforehand: a jump has 0.1 mm
+    start_conicity: float = 0.15  # of the first simulation
+    # simulation
+    warm_up_m: float = 400.0  # before a run, over which the bogie forgets that it started in the middle
+    speed_step: float = 0.1  # m/s, of the tables of the linear model
+    # rounds
+    rounds: int = 5
+    first_curves: int = 0  # round from which the curves are found too
+    blend: float = 0.75  # of what a round changes
+    least_likeness: float = 0.9  # correlation of the simulated with the measured y - d
+    # noise
+    noise_bands: int = 24  # of the wavenumbers, over each of which the covariance of the equations is one
+    noise_floor: float = 1e-6  # relative, of that covariance
+    # beforehand
+    inverse_friction: float = 3.0  # 1/mu
+    inverse_friction_std: float = 1.5  # rails have 2 to 6; the linear law 0
+    most_saturation: float = 0.9  # of the bound of a wheel's creep force, as far as the law is followed
+    mounting_std: float = 0.035  # rad, of the angle of a yaw sensor about the lateral axis
+    clock_hz: float = 250.0
+
+
+BOGIE = BogieFitParameters()
