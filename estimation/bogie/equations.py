@@ -25,6 +25,7 @@ PARAMETERS = (
     "yaw_stiffness",  # k, relative
     "lateral_stiffness",  # ky, relative
     "inverse_friction",  # 1/mu
+    "creep",  # 1/f11, relative: all but the rolling term and R
     "yaw_inertia",  # I, relative
     "frame_inertia",  # I_f, relative
     "spin_creep",  # f23, relative
@@ -82,6 +83,7 @@ def terms(gear: Gear, moved: Moved, saturated: Simulated, speed: FloatArray) -> 
         own[0] = inertia + gyroscopic + spring + damper + rolling * dpsi[axle] / speed + spin + lost
         own[place["yaw_stiffness"]] = spring
         own[place["inverse_friction"]] = by_friction
+        own[place["creep"]] = inertia + gyroscopic + spring + damper + spin + lost
         own[place["yaw_inertia"]] = inertia
         own[place["spin_creep"]] = spin
         frame = columns[2]

@@ -31,12 +31,12 @@ class BogieFit:
     misfit: float
 
 
-def priors(stds: FloatArray, b: int) -> FloatArray:
+def priors(stds: FloatArray, b: int, bend: float) -> FloatArray:
     """Return the information (u, u) beforehand on parameters of these stds and on the bends of curves of b nodes."""
     information = np.zeros((UNKNOWNS + 2 * b, UNKNOWNS + 2 * b))
     information[np.arange(UNKNOWNS), np.arange(UNKNOWNS)] = stds**-2.0
     bends = np.diff(np.eye(b), 2, axis=0)
-    own = bends.T @ bends / BOGIE.bend_std**2 + 1e-6 * np.eye(b) / BOGIE.bend_std**2
+    own = bends.T @ bends / bend**2 + 1e-6 * np.eye(b) / bend**2
     for axle in range(2):
         part = slice(UNKNOWNS + axle * b, UNKNOWNS + (axle + 1) * b)
         information[part, part] = own
@@ -51,10 +51,10 @@ def fit(gear: Gear, stds: FloatArray, runs: Sequence[tuple[int, BogieRun]], roun
     q = BOGIE.inverse_friction
     gear = replace(gear, inverse_friction=q)
     theta = np.concatenate([np.zeros(UNKNOWNS), curves.values.ravel()])
-    information = priors(stds, b)
     friction = PARAMETERS.index("inverse_friction")
     for number in range(rounds):
         parts = [part for block, run in runs if (part := spectra(gear, curves, run, block)) is not None]
+        information = priors(stds, b, BOGIE.bend_std if number else BOGIE.first_bend_std)
         expected = np.zeros(len(theta))
         expected[friction] = BOGIE.inverse_friction - gear.inverse_friction
         start = np.array(theta)

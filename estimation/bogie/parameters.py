@@ -15,6 +15,10 @@ class BogieFitParameters:
     longest_wave: float = 130.0  # m: four waves in a segment; longer ones are drift of the yaw sensors
     shortest_wave: float = 2.5  # m: shorter than the wheelbase, and than what a chord surveys
     trend_order: int = 3  # of the polynomial in distance that is taken from every segment
+    # alignment
+    wiener: bool = True
+    surveyed_wave: float = 4.0  # m: the noise of a survey is spread over the waves that are longer
+    power_bands: int = 60
     # displacement by which a curve is looked up
     carried_wave: float = 35.0  # m: longer waves of y - d are the simulation's
     smoothed_m: float = 1.25  # half of the shortest wave of y - d that is the measured one's
@@ -22,6 +26,7 @@ class BogieFitParameters:
     node_step: float = 0.25e-3  # m
     reach: float = 7.0e-3  # m
     bend_std: float = 0.02e-3  # m, second difference of R from node to node beforehand: a jump has 0.1 mm
+    first_bend_std: float = 0.003e-3  # m, the same in the first round, in which curves are nearly straight
     start_conicity: float = 0.15  # of the first simulation
     # simulation
     warm_up_m: float = 400.0  # before a run, over which the bogie forgets that it started in the middle

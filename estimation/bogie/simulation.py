@@ -19,6 +19,7 @@ from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import BogieParameters, VehicleParameters
 
 STATES, INPUTS = 14, 8
+FARTHEST = 0.02  # m, of y - d: a bogie that hunts so far has other curves
 FRONT_Y, FRONT_YAW, REAR_Y, REAR_YAW, FRAME_Y, FRAME_YAW = 0, 1, 2, 3, 4, 5
 RATES = 7  # place of the first rate in a state
 
@@ -86,8 +87,11 @@ def share_of_linear(linear: float) -> float:
 def step_through(
     track: FloatArray, slope: FloatArray, speed: FloatArray, table: np.ndarray, transitions: FloatArray,
     inputs: FloatArray, curves: FloatArray, x0: float, per_x: float, creep: FloatArray, out: FloatArray,
-) -> None:  # fmt: skip
-    """Write the states (14, n), then R (2, n) and x as EN 15302 means it (2, n), over the alignment (2, n)."""
+) -> int:  # fmt: skip
+    """Write the states (14, n), then R (2, n) and x as EN 15302 means it (2, n), over the alignment (2, n).
+
+    Returns how many samples it came through before a wheelset left the track.
+    """
     f11, f22, f23, half, r0, inertia, mass, bound, height = creep
     state, new = np.zeros(STATES), np.zeros(STATES)
     drive, before, ahead = np.zeros(INPUTS), np.zeros(INPUTS), np.zeros(INPUTS)
@@ -99,6 +103,8 @@ def step_through(
             y, psi = state[2 * axle], state[2 * axle + 1]
             dy, dpsi = state[RATES + 2 * axle], state[RATES + 2 * axle + 1]
             x = y - track[axle, i] + height * difference[axle] / (2.0 * half)
+            if not abs(x) < FARTHEST:
+                return i
             value, rise = look_up(curves[axle], x0, per_x, x)
             difference[axle] = value
             rate = rise * (dy - slope[axle, i])
@@ -126,6 +132,7 @@ def step_through(
             new[k] = total
         for k in range(STATES):
             state[k] = new[k]
+    return track.shape[1]
 
 
 @compiled(nogil=True)
@@ -134,8 +141,8 @@ def math_hypot(a: float, b: float) -> float:
     return np.sqrt(a * a + b * b)
 
 
-def simulate(gear: Gear, curves: Curves, run: BogieRun) -> Simulated:
-    """Return the motion of the bogie over the alignment of a run."""
+def simulate(gear: Gear, curves: Curves, run: BogieRun) -> Simulated | None:
+    """Return the motion of the bogie over the alignment of a run; None where it derails."""
     p, n, dt = gear.vehicle, len(run), run.interval_s
     before = run.ahead.shape[1] - n
     speed = np.concatenate([np.full(before, run.speed[0]), run.speed])
@@ -153,9 +160,9 @@ def simulate(gear: Gear, curves: Curves, run: BogieRun) -> Simulated:
     out, x = np.empty((STATES + 4, len(speed))), nodes()
     per_x = 1.0 / BOGIE.node_step
     ahead = np.ascontiguousarray(run.ahead)
-    step_through(ahead, slope, speed, table.astype(np.int64), transitions, inputs,
+    through = step_through(ahead, slope, speed, table.astype(np.int64), transitions, inputs,
                  np.ascontiguousarray(curves.values), float(x[0]), per_x, creep, out)  # fmt: skip
-    return _simulated(out[:, before:], p, dt)
+    return _simulated(out[:, before:], p, dt) if through == len(speed) else None
 
 
 def _simulated(out: FloatArray, p: VehicleParameters, dt: float) -> Simulated:

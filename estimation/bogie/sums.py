@@ -70,6 +70,8 @@ def spectra(gear: Gear, curves: Curves, run: BogieRun, block: int) -> Spectra | 
     count = -(-2 * (cells - n) // n) + 1
     starts = [round(at) for at in np.linspace(0, cells - n, count)]
     moved = simulate(gear, curves, run)
+    if moved is None:
+        return None
     mixed = mixed_displacement(run, moved.relative)
     measured, visited = _columns(gear, run, moved, mixed, cell, measured=True)
     simulated, _ = _columns(gear, run, moved, moved.relative, cell, measured=False)
