@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated, Self
 
 import numpy as np
 
@@ -12,88 +13,240 @@ from estimation.bogie.equations import PARAMETERS
 from estimation.bogie.parameters import BOGIE
 from estimation.bogie.signals import BogieRun
 from estimation.bogie.simulation import Gear
-from estimation.bogie.sums import UNKNOWNS, Spectra, covariances, normal, spectra
-from estimation.values.arrays import FloatArray
-from estimation.values.quantities import leave_one_out
+from estimation.bogie.sums import UNKNOWNS, Spectra, error_spectrum, long_enough, normal, spectra
+from estimation.geometry.parameters import PRIORS
+from estimation.values.arrays import FloatArray, FrozenArrays
+from estimation.values.quantities import jackknife_std
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.vehicle.vehicle_class import SensorChannel, VehicleClass, VehicleParameters
+
+FRICTION = PARAMETERS.index("inverse_friction")
+GroupedRun = tuple[int, BogieRun]  # with the group of the jackknife that it belongs to
 
 
 @dataclass(frozen=True, slots=True)
-class BogieFit:
-    """What the runs of a bogie give: the unknowns are the parameters of the equations, then both curves."""
+class Beforehand(FrozenArrays):
+    """What is known of a bogie before it has run."""
 
-    theta: FloatArray  # (u,)
-    without: FloatArray  # (g, u) with each block left out
-    by_prior: FloatArray  # (u, u) covariance of what is known beforehand only
-    curves: Curves
     gear: Gear
-    visited: FloatArray  # (2, b) m run at each node
-    likeness: FloatArray  # (2,)
-    misfit: float
+    stds: Annotated[FloatArray, "p"]  # of ``PARAMETERS``
+
+    @classmethod
+    def of(cls, vehicle_class: VehicleClass) -> Self:
+        """Return what the class of its vehicle says."""
+        sensors, of_class = vehicle_class.sensors, vehicle_class.std_of
+        assert vehicle_class.bogie is not None
+        yaw, lateral, frame = map(_scale_std, (sensors.yaw, sensors.lateral, sensors.mass_lateral))
+        both = frame / np.sqrt(2.0)  # of mean and half difference of two sensors
+        creep = of_class("longitudinal_creep_coefficient")
+        by_name = {
+            "yaw_stiffness": of_class("yaw_stiffness"),
+            "lateral_stiffness": of_class("lateral_stiffness"),
+            "inverse_friction": BOGIE.inverse_friction_std,
+            "creep": creep,
+            "yaw_inertia": of_class("yaw_inertia"),
+            "frame_inertia": of_class("frame_yaw_inertia"),
+            "spin_creep": of_class("lateral_spin_creep_coefficient"),
+            "frame_scale": both,
+            "frame_difference": both,
+        }
+        by_name |= {f"yaw_scale_{end}": yaw for end in ("front", "rear")}
+        by_name |= {f"lateral_scale_{end}": lateral for end in ("front", "rear")}
+        by_name |= {f"yaw_angle_{end}": PRIORS.mounting_std for end in ("front", "rear")}
+        stds = np.array([by_name[name] for name in PARAMETERS])
+        return cls(Gear(vehicle_class.parameters, vehicle_class.bogie), np.maximum(stds, PRIORS.least_scale_std))
+
+    def information(self, bend_std: float) -> FloatArray:
+        """Return the information (u, u) on the parameters, and on curves whose bends from node to node have a std."""
+        b = len(nodes())
+        found = np.zeros((UNKNOWNS + 2 * b, UNKNOWNS + 2 * b))
+        found[np.arange(UNKNOWNS), np.arange(UNKNOWNS)] = self.stds**-2.0
+        bends = np.diff(np.eye(b), 2, axis=0)
+        own = (bends.T @ bends + BOGIE.held**2 * np.eye(b)) / bend_std**2
+        for axle in range(2):
+            part = slice(UNKNOWNS + axle * b, UNKNOWNS + (axle + 1) * b)
+            found[part, part] = own
+        return found
 
 
-def priors(stds: FloatArray, b: int, bend: float) -> FloatArray:
-    """Return the information (u, u) beforehand on parameters of these stds and on the bends of curves of b nodes."""
-    information = np.zeros((UNKNOWNS + 2 * b, UNKNOWNS + 2 * b))
-    information[np.arange(UNKNOWNS), np.arange(UNKNOWNS)] = stds**-2.0
-    bends = np.diff(np.eye(b), 2, axis=0)
-    own = bends.T @ bends / bend**2 + 1e-6 * np.eye(b) / bend**2
-    for axle in range(2):
-        part = slice(UNKNOWNS + axle * b, UNKNOWNS + (axle + 1) * b)
-        information[part, part] = own
-    return information
+def _scale_std(channel: SensorChannel) -> float:
+    return float(np.hypot(PRIORS.least_scale_std, channel.scale_std))
 
 
-def fit(gear: Gear, stds: FloatArray, runs: Sequence[tuple[int, BogieRun]], rounds: int = BOGIE.rounds, trace=None) -> BogieFit:
-    """Return the fit of runs, each with its block."""
-    b = len(nodes())
-    curves = Curves.straight(BOGIE.start_conicity)
-    file_gear = gear
-    q = BOGIE.inverse_friction
-    gear = replace(gear, inverse_friction=q)
-    theta = np.concatenate([np.zeros(UNKNOWNS), curves.values.ravel()])
-    friction = PARAMETERS.index("inverse_friction")
-    for number in range(rounds):
-        parts = [part for block, run in runs if (part := spectra(gear, curves, run, block)) is not None]
-        information = priors(stds, b, BOGIE.bend_std if number else BOGIE.first_bend_std)
-        expected = np.zeros(len(theta))
-        expected[friction] = BOGIE.inverse_friction - gear.inverse_friction
-        start = np.array(theta)
-        for inner in range(2):
-            cov, scales = covariances(parts, start)
-            keep = np.arange(len(theta))
-            sums = [normal(part, cov, scale, keep) for part, scale in zip(parts, scales, strict=True)]
-            block = np.concatenate([part.block for part in parts])
-            left = np.concatenate([one for one, _ in sums])
-            right = np.concatenate([one for _, one in sums])
-            groups = np.unique(block)
-            lefts = np.stack([left[block == g].sum(axis=0) for g in groups])
-            rights = np.stack([right[block == g].sum(axis=0) for g in groups])
-            whole = lefts.sum(axis=0) + information
-            found = np.linalg.solve(whole, information @ expected - rights.sum(axis=0))
-            start = found
-        without = np.stack(
-            [
-                np.linalg.solve(whole - lefts[g], information @ expected - rights.sum(axis=0) + rights[g])
-                for g in range(len(groups))
-            ]
+@dataclass(frozen=True, slots=True)
+class BogieFit(FrozenArrays):
+    """What the runs of a bogie give: the unknowns are the parameters of its equations, then R of both axles."""
+
+    theta: Annotated[FloatArray, "u"]
+    without: Annotated[FloatArray, "g", "u"]  # with each group of runs left out
+    by_prior: Annotated[FloatArray, "u", "u"]  # covariance by what is known beforehand only
+    gear: Gear  # with the friction about which the equations were linear last
+    visited: Annotated[FloatArray, 2, "b"]  # m run at each node, by axle
+    likeness: Annotated[FloatArray, 2]  # correlation of simulated and measured y - d, by axle
+    moved: float  # m, rms by which the last round changed R where the wheelsets have been
+
+    @property
+    def replicates(self) -> FloatArray:
+        """The unknowns (1 + g, u) of all runs, then with each group left out."""
+        return np.concatenate([self.theta[None], self.without])
+
+    def curve(self, axle: int) -> slice:
+        """Return where R of an axle, 0 or 1, is in the unknowns."""
+        b = self.visited.shape[1]
+        return slice(UNKNOWNS + axle * b, UNKNOWNS + (axle + 1) * b)
+
+    def parameter(self, *names: str) -> tuple[float, float]:
+        """Return value and std of the sum of some parameters."""
+        chosen = np.isin(np.arange(len(self.theta)), [PARAMETERS.index(name) for name in names]).astype(np.float64)
+        sampled = float(jackknife_std(self.replicates @ chosen))
+        return float(self.theta @ chosen), float(np.sqrt(sampled**2 + chosen @ self.by_prior @ chosen))
+
+    @property
+    def stiffness_ratio(self) -> tuple[float, float]:
+        """Yaw stiffness over creep coefficient, of that on file, and its std."""
+        value, std = self.parameter("yaw_stiffness", "creep")
+        return 1.0 + value, std
+
+    @property
+    def inverse_friction(self) -> tuple[float, float]:
+        """1/mu and its std."""
+        more, std = self.parameter("inverse_friction")
+        return self.gear.inverse_friction + more, std
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    """Where the rounds have come to."""
+
+    gear: Gear
+    curves: Curves
+    theta: FloatArray
+    parts: tuple[Spectra, ...]
+
+
+def fit_bogie(known: Beforehand, runs: Sequence[GroupedRun], start: Curves | None = None) -> BogieFit | Reason:
+    """Return curves and parameters of a bogie, or why its runs do not give them.
+
+    Args:
+        start: Curves of an earlier fit: fewer rounds are needed from there.
+    """
+    used = [(group, run) for group, run in runs if long_enough(run)]
+    if len({group for group, _ in used}) < BOGIE.fewest_groups:
+        text = f"{len(used)} runs of {BOGIE.segment_m:g} m or more, {BOGIE.fewest_groups} are needed"
+        return Reason(ReasonCode.TOO_FEW_BLOCKS, text)
+    curves = start or Curves.straight(BOGIE.start_conicity)
+    parts = _simulated(known.gear, curves, used)
+    if parts is None:
+        return _derailed()
+    state = _State(known.gear, curves, np.concatenate([np.zeros(UNKNOWNS), curves.values.ravel()]), parts)
+    found: BogieFit | None = None
+    for number in range(BOGIE.rounds if start is None else BOGIE.rounds_again):
+        first = start is None and number == 0
+        found = _solved(known, state, BOGIE.first_bend_std if first else BOGIE.bend_std)
+        if not np.isfinite(found.theta).all():
+            return Reason(ReasonCode.NOT_FINITE, "the equations of the bogie do not determine its curves")
+        moved = _moved_on(state, found, used, 1.0 if first else BOGIE.blend)
+        if moved is None:
+            return _derailed()
+        state = moved
+    assert found is not None
+    return _checked(found)
+
+
+def _simulated(gear: Gear, curves: Curves, runs: Sequence[GroupedRun]) -> tuple[Spectra, ...] | None:
+    parts = []
+    for group, run in runs:
+        part = spectra(gear, curves, run, group)
+        if part is None:
+            return None
+        parts.append(part)
+    return tuple(parts)
+
+
+def _solved(known: Beforehand, state: _State, bend_std: float) -> BogieFit:
+    information, parts = known.information(bend_std), state.parts
+    expected = np.zeros(len(state.theta))
+    expected[FRICTION] = BOGIE.inverse_friction - state.gear.inverse_friction
+    b = state.curves.values.shape[1]
+    own = np.zeros_like(information)
+    own[UNKNOWNS:, UNKNOWNS:] = BOGIE.held**2 / bend_std**2 * np.eye(2 * b)
+    expected_right = information[:, :UNKNOWNS] @ expected[:UNKNOWNS] + own @ state.theta
+    theta, groups = state.theta, np.array([part.group for part in parts])
+    numbers = np.unique(groups)
+    for _ in range(BOGIE.inner_rounds):
+        errors = error_spectrum(parts, theta)
+        sums = [normal(part, errors.covariance, scale) for part, scale in zip(parts, errors.scale, strict=True)]
+        left = np.stack([sum(one for (one, _), g in zip(sums, groups, strict=True) if g == n) for n in numbers])
+        right = np.stack([sum(one for (_, one), g in zip(sums, groups, strict=True) if g == n) for n in numbers])
+        whole, wanted = left.sum(axis=0) + information, expected_right - right.sum(axis=0)
+        theta = np.linalg.solve(whole, wanted)
+    without = np.stack(
+        [np.linalg.solve(whole - part, wanted + more) for part, more in zip(left, right, strict=True)]
+    )
+    inverse = np.linalg.inv(whole)
+    least = -state.gear.inverse_friction
+    theta, without = _not_below(theta, inverse, least), np.stack([_not_below(one, inverse, least) for one in without])
+    visited = np.sum([part.visited for part in parts], axis=0)
+    change = (theta[UNKNOWNS:] - state.theta[UNKNOWNS:]).reshape(2, b)
+    change -= change[:, [b // 2]]
+    moved = float(np.sqrt(np.average(change**2, weights=np.maximum(visited, 1e-9))))
+    likeness = np.mean([part.likeness for part in parts], axis=0)
+    return BogieFit(theta, without, inverse @ information @ inverse.T, state.gear, visited, likeness, moved)
+
+
+def _not_below(theta: FloatArray, inverse: FloatArray, least: float) -> FloatArray:
+    """Return unknowns with 1/mu not below 0: what they are where it is 0, if they have less."""
+    excess = max(least - float(theta[FRICTION]), 0.0)
+    return np.asarray(theta + inverse[:, FRICTION] / inverse[FRICTION, FRICTION] * excess)
+
+
+def _moved_on(state: _State, found: BogieFit, runs: Sequence[GroupedRun], blend: float) -> _State | None:
+    """Return the next round's start; a change after which the bogie derails is halved. None where it still does."""
+    values = found.theta[UNKNOWNS:].reshape(2, -1)
+    values = values - values[:, [values.shape[1] // 2]]  # the constant is not observable
+    for _ in range(BOGIE.halvings):
+        curves = Curves(state.curves.values + blend * (values - state.curves.values))
+        friction = state.gear.inverse_friction + blend * float(found.theta[FRICTION])
+        gear = replace(
+            state.gear,
+            inverse_friction=min(max(friction, 0.0), BOGIE.most_inverse_friction),
+            moving=_moving(state.gear.vehicle, found.theta),
         )
-        values = found[UNKNOWNS:].reshape(2, b)
-        blend = BOGIE.blend if number else 1.0
-        values = values - values[:, [b // 2]]
-        curves = Curves(curves.values + blend * (values - curves.values))
-        more = float(np.clip(gear.inverse_friction + blend * found[friction], 0.0, 8.0))
-        inverse = np.linalg.inv(whole)
-        visited = sum(part.visited for part in parts)
-        likeness = np.mean([part.likeness for part in parts], axis=0)
-        p = file_gear.vehicle
-        new = replace(
-            p,
-            yaw_stiffness=p.yaw_stiffness * (1 + 0 * found[0]),
-        )
-        result = BogieFit(found, without, inverse @ information @ inverse.T, curves, gear, visited, likeness, float(np.mean([s.mean() for s in scales])))
-        gear = replace(gear, inverse_friction=more, vehicle=new)
-        if trace:
-            trace(number, result)
-        theta = np.concatenate([found[:UNKNOWNS], curves.values.ravel()])
-        theta[friction] = 0.0
-    return result
+        parts = _simulated(gear, curves, runs)
+        if parts is not None:
+            theta = np.concatenate([found.theta[:UNKNOWNS], curves.values.ravel()])
+            theta[FRICTION] = 0.0
+            return _State(gear, curves, theta, parts)
+        blend *= 0.5
+    return None
+
+
+def _moving(on_file: VehicleParameters, theta: FloatArray) -> VehicleParameters:
+    """Return the parameters of a vehicle as they were found."""
+    found = dict(zip(PARAMETERS, np.maximum(1.0 + theta[:UNKNOWNS], BOGIE.least_share), strict=True))
+    return replace(
+        on_file,
+        longitudinal_creep_coefficient=on_file.longitudinal_creep_coefficient / found["creep"],
+        lateral_creep_coefficient=on_file.lateral_creep_coefficient / found["creep"],
+        yaw_stiffness=on_file.yaw_stiffness * found["yaw_stiffness"],
+        lateral_stiffness=on_file.lateral_stiffness * found["lateral_stiffness"],
+    )
+
+
+def _derailed() -> Reason:
+    return Reason(
+        ReasonCode.MOTION_UNEXPLAINED,
+        "a bogie of the vehicle's class with the curves that its motion shows does not stay on this track;"
+        " check class, track and sensors",
+    )
+
+
+def _checked(found: BogieFit) -> BogieFit | Reason:
+    least = float(found.likeness.min())
+    if least >= BOGIE.least_likeness:
+        return found
+    return Reason(
+        ReasonCode.MOTION_UNEXPLAINED,
+        f"the motion of a wheelset and that of its bogie simulated over the track have a correlation of {least:.2f},"
+        f" {BOGIE.least_likeness:g} is needed; check class, track, positions and sensors",
+    )

@@ -13,19 +13,14 @@ class BogieFitParameters:
     grid_step: float = 0.25  # m, of the means along the track: a tenth of the shortest wave
     segment_m: float = 512.0  # of the Fourier transforms, half overlapping
     longest_wave: float = 130.0  # m: four waves in a segment; longer ones are drift of the yaw sensors
-    shortest_wave: float = 2.5  # m: shorter than the wheelbase, and than what a chord surveys
+    shortest_wave: float = 4.0  # m: surveys by chord show no shorter ones
     trend_order: int = 3  # of the polynomial in distance that is taken from every segment
-    # alignment
-    wiener: bool = True
-    surveyed_wave: float = 4.0  # m: the noise of a survey is spread over the waves that are longer
-    power_bands: int = 60
     # displacement by which a curve is looked up
     carried_wave: float = 35.0  # m: longer waves of y - d are the simulation's
-    smoothed_m: float = 1.25  # half of the shortest wave of y - d that is the measured one's
     # curves
     node_step: float = 0.25e-3  # m
     reach: float = 7.0e-3  # m
-    bend_std: float = 0.02e-3  # m, second difference of R from node to node beforehand: a jump has 0.1 mm
+    bend_std: float = 0.05e-3  # m, second difference of R from node to node beforehand: a jump has 0.1 mm
     first_bend_std: float = 0.003e-3  # m, the same in the first round, in which curves are nearly straight
     start_conicity: float = 0.15  # of the first simulation
     # simulation
@@ -33,18 +28,24 @@ class BogieFitParameters:
     speed_step: float = 0.1  # m/s, of the tables of the linear model
     # rounds
     rounds: int = 5
-    first_curves: int = 0  # round from which the curves are found too
+    rounds_again: int = 2  # from the curves of an earlier fit
+    fewest_groups: int = 4  # of the jackknife
+    halvings: int = 4  # of a change after which the simulation derails
+    scale_rounds: int = 3  # of the power of each segment beside the spectrum
+    inner_rounds: int = 2  # of whitening, with the same simulation
+    least_share: float = 0.5  # of a parameter on file, that the simulation follows
     blend: float = 0.75  # of what a round changes
     least_likeness: float = 0.9  # correlation of the simulated with the measured y - d
     # noise
     noise_bands: int = 24  # of the wavenumbers, over each of which the covariance of the equations is one
-    noise_floor: float = 1e-6  # relative, of that covariance
     # beforehand
     inverse_friction: float = 3.0  # 1/mu
+    most_inverse_friction: float = 8.0  # that is followed
     inverse_friction_std: float = 1.5  # rails have 2 to 6; the linear law 0
     most_saturation: float = 0.9  # of the bound of a wheel's creep force, as far as the law is followed
-    mounting_std: float = 0.035  # rad, of the angle of a yaw sensor about the lateral axis
-    clock_hz: float = 250.0
+    held: float = 1e-3  # of what is known of bends, by which curves stay where nothing else is known of them
+    # published
+    least_visited: float = 40.0  # m run at a node
 
 
 BOGIE = BogieFitParameters()

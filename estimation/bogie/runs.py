@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -15,7 +13,6 @@ from estimation.motion.checks import direction, moving_samples, usable_samples
 from estimation.motion.integration import IntegratedSegment, WindowParameters, integrate, standard_displacement
 from estimation.motion.window_motion import alignment_at
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.memory import MEMORY
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import Window
 
@@ -40,12 +37,13 @@ def bogie_runs(
     track: TrackAlignment,
     parameters: WindowParameters,
     layout: TrackLayout | None = None,
+    *,
+    swapped: bool = False,
 ) -> Iterator[BogieRun]:
     """Yield the runs of both windows, of one time, in which all samples can be used."""
     axles = leading, trailing
     cutoff = min(BOGIE.longest_wave, track.cutoff_wavelength)
     facing = direction(leading.window) * (-1 if leading.window.backwards else 1)
-    track = probable(track)
     own = [facing * alignment_at(axle.distance, track, cutoff) for axle in axles]
     usable: BoolArray = np.ones(len(leading.window.valid), dtype=np.bool_)
     for axle, d in zip(axles, own, strict=True):
@@ -58,7 +56,7 @@ def bogie_runs(
             [_with_way_there(axle, segment, track, facing, cutoff) for axle, segment in zip(axles, pair, strict=True)]
         )
         if np.isfinite(ahead).all():
-            yield _run(*pair, ahead, parameters)
+            yield _run(*pair, ahead, parameters, swapped=swapped)
 
 
 def _with_way_there(
@@ -77,7 +75,12 @@ def _with_way_there(
 
 
 def _run(
-    leading: IntegratedSegment, trailing: IntegratedSegment, ahead: FloatArray, parameters: WindowParameters
+    leading: IntegratedSegment,
+    trailing: IntegratedSegment,
+    ahead: FloatArray,
+    parameters: WindowParameters,
+    *,
+    swapped: bool,
 ) -> BogieRun:
     pair, radius = (leading, trailing), parameters.vehicle.nominal_radius
     n = len(leading.run)
@@ -101,32 +104,7 @@ def _run(
         frame_lateral=above[:2].mean(axis=1),
         frame_yaw=leading.frame_yaw[::-1],
         relative=relative,
+        swapped=swapped,
         ahead=ahead,
     )
 
-
-@lru_cache(maxsize=MEMORY.deconvolved_tracks)
-def probable(track: TrackAlignment) -> TrackAlignment:
-    """Return a recorded alignment as it most probably is: each wave times its share that is not noise.
-
-    What is left of its error has then nothing in common with it, and so with what is simulated over it: the curves are
-    not flattened by it.
-    """
-    known = np.isfinite(track.alignment)
-    if not known.all() or not BOGIE.wiener:
-        return track
-    step, n = float(track.s[1] - track.s[0]), len(track.s)
-    std = float(np.median(track.alignment_std))
-    mean = track.alignment.mean()
-    padded = np.concatenate([track.alignment - mean, (track.alignment - mean)[::-1]])
-    spectrum = np.fft.rfft(padded)
-    wavenumber = np.fft.rfftfreq(2 * n, step)
-    power = np.abs(spectrum) ** 2 * step / (2 * n)  # m3, one-sided over positive and negative wavenumbers
-    noise = std**2 * 0.5 * BOGIE.surveyed_wave
-    edges = np.unique(np.round(np.geomspace(1, len(power), BOGIE.power_bands)).astype(int))
-    middle = [float(np.mean(wavenumber[a:b])) for a, b in itertools.pairwise(edges)]
-    level = [max(float(np.mean(power[a:b])), 1e-300) for a, b in itertools.pairwise(edges)]
-    whole = np.exp(np.interp(wavenumber, middle, np.log(level)))
-    share = np.clip(1.0 - noise / whole, 0.0, 1.0)
-    found = np.fft.irfft(spectrum * share, 2 * n)[:n] + mean
-    return replace(track, alignment=found)

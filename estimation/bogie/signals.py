@@ -28,6 +28,7 @@ class BogieRun(FrozenArrays):
     frame_lateral: Annotated[FloatArray, 2, "n"]  # y_f, y_f' of the middle of the frame; m, s
     frame_yaw: Annotated[FloatArray, 3, "n"]  # psi_f, psi_f', psi_f''; rad, s
     relative: Annotated[FloatArray, 2, "n"]  # y - d as EN 15302 means it, m
+    swapped: bool  # the axle of the higher number leads
     ahead: Annotated[FloatArray, 2, "k"]  # d under the axles, m, from ``k - n`` samples before the run on
 
     def __len__(self) -> int:
@@ -53,15 +54,11 @@ def mixed_displacement(run: BogieRun, simulated: FloatArray) -> FloatArray:
     """
     known = np.ones(len(run), dtype=np.bool_)
     difference = remove_wander(run.relative - simulated, run.run, known, BOGIE.carried_wave)
-    return np.asarray(simulated + smoothed(difference, run))
+    return np.asarray(simulated + difference)
 
 
-def smoothed(rows: FloatArray, run: BogieRun) -> FloatArray:
-    """Return rows (m, n) without waves shorter than twice ``smoothed_m``: two running means along the run."""
-    half = max(round(0.5 * BOGIE.smoothed_m / (float(np.mean(run.speed)) * run.interval_s)), 1)
-    width = 2 * half + 1
-    for _ in range(2):
-        padded = np.pad(rows, ((0, 0), (half + 1, half)), mode="edge")
-        sums = np.cumsum(padded, axis=1)
-        rows = (sums[:, width:] - sums[:, :-width]) / width
-    return np.asarray(rows)
+def likeness(run: BogieRun, simulated: FloatArray) -> FloatArray:
+    """Return the correlation (2,) of simulated with measured y - d (2, n) in the waves that are measured."""
+    known = np.ones(len(run), dtype=np.bool_)
+    fast = remove_wander(np.concatenate([run.relative, simulated]), run.run, known, BOGIE.carried_wave)
+    return np.array([np.corrcoef(fast[axle], fast[2 + axle])[0, 1] for axle in range(2)])

@@ -28,9 +28,10 @@ RATES = 7  # place of the first rate in a state
 class Gear:
     """What a bogie is simulated and equated with."""
 
-    vehicle: VehicleParameters
+    vehicle: VehicleParameters  # on file: what the unknown parameters are relative to
     bogie: BogieParameters
     inverse_friction: float = BOGIE.inverse_friction
+    moving: VehicleParameters | None = None  # what it is simulated with; None: with those on file
 
     @property
     def per_newton_metre(self) -> float:
@@ -143,7 +144,7 @@ def math_hypot(a: float, b: float) -> float:
 
 def simulate(gear: Gear, curves: Curves, run: BogieRun) -> Simulated | None:
     """Return the motion of the bogie over the alignment of a run; None where it derails."""
-    p, n, dt = gear.vehicle, len(run), run.interval_s
+    p, n, dt = gear.moving or gear.vehicle, len(run), run.interval_s
     before = run.ahead.shape[1] - n
     speed = np.concatenate([np.full(before, run.speed[0]), run.speed])
     slope = np.gradient(run.ahead, dt, axis=1)

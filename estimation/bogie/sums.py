@@ -1,11 +1,16 @@
-"""The equations of runs as normal equations of their unknowns: segments, Fourier transforms, whitening, instruments."""
+"""The equations of runs as normal equations of their unknowns: segments, Fourier transforms, whitening, instruments.
+
+Sensors drift, and each equation has an error of its own at every wave; so they are whitened by the covariance of the
+three errors per wavenumber. What multiplies them on the left is simulated, and has nothing to do with the noise of the
+sensors: noise in what multiplies the unknowns does not shrink them. The sums of segments add up.
+"""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
@@ -13,9 +18,9 @@ import numpy.typing as npt
 from estimation.bogie.curves import Curves, add_hats, add_means, nodes
 from estimation.bogie.equations import EQUATIONS, PARAMETERS, terms
 from estimation.bogie.parameters import BOGIE
-from estimation.bogie.signals import BogieRun, mixed_displacement
+from estimation.bogie.signals import BogieRun, likeness, mixed_displacement
 from estimation.bogie.simulation import Gear, Simulated, simulate
-from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
+from estimation.values.arrays import FloatArray, IntArray
 
 ComplexArray = npt.NDArray[np.complex128]
 UNKNOWNS = len(PARAMETERS)  # before those of the curves
@@ -23,13 +28,13 @@ UNKNOWNS = len(PARAMETERS)  # before those of the curves
 
 @dataclass(frozen=True, slots=True)
 class Spectra:
-    """Columns of the equations of some segments at the wavenumbers of the band; unknowns: parameters, both curves."""
+    """Columns of the equations in the segments of a run, by wavenumber; unknowns are parameters, then both curves."""
 
     measured: ComplexArray  # (s, 3, 1 + u, m); what is known of the equations comes first
     simulated: ComplexArray  # (s, 3, u, m): instruments
-    likeness: FloatArray  # (2,) correlation of the simulated and measured y - d of the wheelsets
-    visited: FloatArray  # (2, b) m run at each node, measured
-    block: IntArray  # (s,) of the jackknife
+    likeness: FloatArray  # (2,) correlation of simulated and measured y - d, by axle
+    visited: FloatArray  # (2, b) m run at each node
+    group: int  # of the jackknife
 
 
 @lru_cache(maxsize=8)
@@ -50,48 +55,61 @@ def _taper() -> tuple[FloatArray, FloatArray]:
     return np.hanning(n + 2)[1:-1], np.linalg.qr(powers)[0].T
 
 
-def transformed(rows: FloatArray, starts: Sequence[int]) -> ComplexArray:
-    """Return the transforms (s, r, m) of segments of rows (r, n) that begin at ``starts``, in the band."""
-    taper, trend = _taper()
-    n, found = len(taper), []
-    for start in starts:
-        part = rows[:, start : start + n]
-        part = part - (part @ trend.T) @ trend
-        found.append(np.fft.rfft(part * taper, axis=1)[:, _band()])
-    return np.stack(found)
+def long_enough(run: BogieRun) -> bool:
+    """Return whether a run holds a segment."""
+    return float(run.run[-1]) >= BOGIE.segment_m + BOGIE.grid_step
 
 
-def spectra(gear: Gear, curves: Curves, run: BogieRun, block: int) -> Spectra | None:
-    """Return the columns of a run; None where it is shorter than a segment."""
-    cell = run.run / BOGIE.grid_step
-    cells, n = int(cell[-1]), _cells()
-    if cells < n:
-        return None
+def _starts(cells: int) -> list[int]:
+    n = _cells()
     count = -(-2 * (cells - n) // n) + 1
-    starts = [round(at) for at in np.linspace(0, cells - n, count)]
-    moved = simulate(gear, curves, run)
+    return [round(at) for at in np.linspace(0, cells - n, count)]
+
+
+def _transformed(rows: FloatArray, starts: Sequence[int]) -> ComplexArray:
+    """Return the transforms (s, r, m) of segments of rows (r, n), in the band; rows of zeros cost nothing."""
+    taper, trend = _taper()
+    n, filled = len(taper), np.flatnonzero(rows.any(axis=1))
+    found = np.zeros((len(starts), len(rows), len(_band())), dtype=np.complex128)
+    for number, start in enumerate(starts):
+        part = rows[filled, start : start + n]
+        part = part - (part @ trend.T) @ trend
+        found[number, filled] = np.fft.rfft(part * taper, axis=1)[:, _band()]
+    return found
+
+
+def spectra(gear: Gear, curves: Curves, run: BogieRun, group: int) -> Spectra | None:
+    """Return the columns of a run that is long enough; None where the bogie derails on these curves."""
+    order = [1, 0] if run.swapped else [0, 1]
+    moved = simulate(gear, Curves(curves.values[order]), run)
     if moved is None:
         return None
+    cell = run.run / BOGIE.grid_step
+    starts = _starts(int(cell[-1]))
     mixed = mixed_displacement(run, moved.relative)
     measured, visited = _columns(gear, run, moved, mixed, cell, measured=True)
     simulated, _ = _columns(gear, run, moved, moved.relative, cell, measured=False)
-    own = np.stack([mixed_likeness(run, moved, axle) for axle in range(2)])
+    b = visited.shape[1]
+    place = unknowns_by_axle(b) if run.swapped else np.arange(UNKNOWNS + 2 * b)
+    known_first = np.concatenate([[0], 1 + place])
     return Spectra(
-        _laid_out(transformed(measured, starts)),
-        _laid_out(transformed(simulated, starts))[:, :, 1:],
-        own,
-        visited,
-        np.full(len(starts), block),
+        _laid_out(_transformed(measured, starts))[:, :, known_first],
+        _laid_out(_transformed(simulated, starts))[:, :, 1 + place],
+        likeness(run, moved.relative)[order],
+        visited[order],
+        group,
     )
 
 
-def mixed_likeness(run: BogieRun, moved: Simulated, axle: int) -> float:
-    """Return the correlation of the simulated with the measured y - d of a wheelset, without long waves."""
-    from estimation.filters import remove_wander
-
-    both = np.stack([run.relative[axle], moved.relative[axle]])
-    fast = remove_wander(both, run.run, np.ones(len(run), dtype=np.bool_), BOGIE.carried_wave)
-    return float(np.corrcoef(fast)[0, 1])
+def unknowns_by_axle(b: int) -> IntArray:
+    """Return where the unknowns of the axles are in those of leading and trailing, where the rear axle leads."""
+    other = {"front": "rear", "rear": "front"}
+    names = [
+        f"{name.removesuffix(end)}{other[end]}" if (end := name.rpartition("_")[2]) in other else name
+        for name in PARAMETERS
+    ]
+    own = [PARAMETERS.index(name) for name in names]
+    return np.concatenate([own, UNKNOWNS + b + np.arange(b), UNKNOWNS + np.arange(b)]).astype(np.int64)
 
 
 def _columns(
@@ -123,57 +141,57 @@ def _laid_out(flat: ComplexArray) -> ComplexArray:
 
 
 @dataclass(frozen=True, slots=True)
-class Normal(FrozenArrays):
-    """Normal equations of the unknowns by block of data: left theta + right = 0. They add up."""
+class ErrorSpectrum:
+    """Covariance of the errors of the three equations by wavenumber, and how much more each segment has."""
 
-    left: Annotated[FloatArray, "g", "u", "u"]
-    right: Annotated[FloatArray, "g", "u"]
-    square: Annotated[FloatArray, "g"]  # of the whitened residuals before
-    count: Annotated[FloatArray, "g"]  # of real numbers in them
+    covariance: ComplexArray  # (m, 3, 3)
+    scale: tuple[FloatArray, ...]  # (s,) by run: a slow bogie has more of the drift of its sensors
 
 
-def covariances(parts: Sequence[Spectra], theta: FloatArray) -> tuple[ComplexArray, list[FloatArray]]:
-    """Return the covariance of the equations (m, 3, 3) that unknowns leave, and by how much each segment has more."""
-    residuals = [_residual(part, theta) for part in parts]
-    m = residuals[0].shape[-1]
-    scales = [np.ones(len(part)) for part in residuals]
-    edges = np.unique(np.round(np.geomspace(1, m + 1, BOGIE.noise_bands + 1) - 1).astype(int))
-    cov = np.empty((m, EQUATIONS, EQUATIONS), dtype=np.complex128)
-    for _ in range(3):
-        raw = sum(
-            np.einsum("sem,sfm,s->mef", part, part.conj(), 1.0 / scale)
-            for part, scale in zip(residuals, scales, strict=True)
-        ) / sum(map(len, residuals))
-        banded = np.stack([raw[a:b].mean(axis=0) for a, b in zip(edges[:-1], edges[1:], strict=True)])
-        middle = [0.5 * (a + b - 1) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-        at = np.log1p(np.arange(m))
-        for e in range(EQUATIONS):
-            for f in range(EQUATIONS):
-                size = np.sqrt((banded[:, e, e] * banded[:, f, f]).real)
-                share = np.interp(at, np.log1p(middle), (banded[:, e, f] / size).real) + 1j * np.interp(
-                    at, np.log1p(middle), (banded[:, e, f] / size).imag
-                )
-                cov[:, e, f] = share * np.exp(np.interp(at, np.log1p(middle), np.log(size)))
-        inverse = np.linalg.inv(cov)
-        scales = [
-            np.einsum("sem,mef,sfm->s", part.conj(), inverse, part).real / (EQUATIONS * m) for part in residuals
-        ]
-    return cov, scales
+def error_spectrum(parts: Sequence[Spectra], theta: FloatArray) -> ErrorSpectrum:
+    """Return what unknowns (u,) leave of the equations."""
+    left = [part.measured[:, :, 0] + np.einsum("seum,u->sem", part.measured[:, :, 1:], theta) for part in parts]
+    scales = [np.ones(len(part)) for part in left]
+    covariance = np.empty(0, dtype=np.complex128)
+    for _ in range(BOGIE.scale_rounds):
+        pairs = zip(left, scales, strict=True)
+        power = sum(np.einsum("sem,sfm,s->mef", part, part.conj(), 1.0 / scale) for part, scale in pairs)
+        covariance = _smooth(np.asarray(power) / sum(map(len, left)))
+        inverse = np.linalg.inv(covariance)
+        scales = [np.einsum("sem,mef,sfm->s", part.conj(), inverse, part).real for part in left]
+        scales = [scale / (EQUATIONS * len(covariance)) for scale in scales]
+    return ErrorSpectrum(covariance, tuple(scales))
 
 
-def _residual(part: Spectra, theta: FloatArray) -> ComplexArray:
-    return np.asarray(part.measured[:, :, 0] + np.einsum("seum,u->sem", part.measured[:, :, 1:], theta))
+def _smooth(raw: ComplexArray) -> ComplexArray:
+    """Return a covariance (m, 3, 3) as a smooth one: powers and coherences are means over bands, and lines between."""
+    m = len(raw)
+    edges = np.unique(np.round(np.geomspace(1, m + 1, BOGIE.noise_bands + 1) - 1).astype(np.int64))
+    bands = [slice(int(first), int(behind)) for first, behind in itertools.pairwise(edges)]
+    banded = np.stack([raw[band].mean(axis=0) for band in bands])
+    middle = np.log1p([0.5 * (band.start + band.stop - 1) for band in bands])
+    at, smooth = np.log1p(np.arange(m)), np.empty_like(raw)
+    for e in range(EQUATIONS):
+        for f in range(EQUATIONS):
+            size = np.sqrt((banded[:, e, e] * banded[:, f, f]).real)
+            coherence = banded[:, e, f] / size
+            along = np.interp(at, middle, coherence.real) + 1j * np.interp(at, middle, coherence.imag)
+            smooth[:, e, f] = along * np.exp(np.interp(at, middle, np.log(size)))
+    return smooth
 
 
-def normal(part: Spectra, cov: ComplexArray, scale: FloatArray, keep: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return left (s, u, u) and right (s, u) sides of the segments of a run, of the unknowns that are kept."""
-    whiten = np.linalg.inv(np.linalg.cholesky(cov))  # (m, 3, 3)
-    both = np.concatenate([part.measured[:, :, :1], part.measured[:, :, 1:][:, :, keep]], axis=2)
-    lefts, rights = [], []
-    for number in range(len(both)):
-        ours = np.einsum("mef,fum->uem", whiten, both[number]).reshape(len(keep) + 1, -1)
-        instruments = np.einsum("mef,fum->uem", whiten, part.simulated[number][:, keep]).reshape(len(keep), -1)
-        products = (instruments.conj() @ ours.T).real * (0.5 * 2.0 / scale[number])  # half overlap; both signs
-        lefts.append(products[:, 1:])
-        rights.append(products[:, 0])
-    return np.stack(lefts), np.stack(rights)
+def normal(part: Spectra, covariance: ComplexArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the normal equations of a run, left (u, u) times the unknowns plus right (u,) is zero.
+
+    In units in which ``left`` is information: segments overlap by half, so that each counts for half of what it holds.
+    """
+    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+    u = part.simulated.shape[2]
+    left, right = np.zeros((u, u)), np.zeros(u)
+    for ours, instruments, size in zip(part.measured, part.simulated, scale, strict=True):
+        white = np.einsum("mef,fum->uem", whiten, ours).reshape(u + 1, -1)
+        simulated = np.einsum("mef,fum->uem", whiten, instruments).reshape(u, -1)
+        products = (simulated.conj() @ white.T).real / size
+        left += products[:, 1:]
+        right += products[:, 0]
+    return left, right
