@@ -79,7 +79,8 @@ class BogieFit(FrozenArrays):
 
     theta: Annotated[FloatArray, "u"]
     without: Annotated[FloatArray, "g", "u"]  # with each group of runs left out
-    by_prior: Annotated[FloatArray, "u", "u"]  # covariance by what is known beforehand only
+    by_parameter: Annotated[FloatArray, "p", "u"]  # per std of what is known beforehand of each parameter
+    by_bends: Annotated[FloatArray, "u", "u"]  # covariance by what is known beforehand of the bends of curves
     gear: Gear  # with the friction about which the equations were linear last
     visited: Annotated[FloatArray, 2, "b"]  # m run at each node, by axle
     likeness: Annotated[FloatArray, 2]  # correlation of simulated and measured y - d, by axle
@@ -99,7 +100,8 @@ class BogieFit(FrozenArrays):
         """Return value and std of the sum of some parameters."""
         chosen = np.isin(np.arange(len(self.theta)), [PARAMETERS.index(name) for name in names]).astype(np.float64)
         sampled = float(jackknife_std(self.replicates @ chosen))
-        return float(self.theta @ chosen), float(np.sqrt(sampled**2 + chosen @ self.by_prior @ chosen))
+        by_prior = float(np.linalg.norm(self.by_parameter @ chosen))
+        return float(self.theta @ chosen), float(np.sqrt(sampled**2 + by_prior**2 + chosen @ self.by_bends @ chosen))
 
     @property
     def stiffness_ratio(self) -> tuple[float, float]:
@@ -171,6 +173,7 @@ def _solved(known: Beforehand, state: _State, bend_std: float) -> BogieFit:
     own = np.zeros_like(information)
     own[UNKNOWNS:, UNKNOWNS:] = BOGIE.held**2 / bend_std**2 * np.eye(2 * b)
     expected_right = information[:, :UNKNOWNS] @ expected[:UNKNOWNS] + own @ state.theta
+    visited = np.sum([part.visited for part in parts], axis=0)
     theta, groups = state.theta, np.array([part.group for part in parts])
     numbers = np.unique(groups)
     for _ in range(BOGIE.inner_rounds):
@@ -181,17 +184,29 @@ def _solved(known: Beforehand, state: _State, bend_std: float) -> BogieFit:
         whole, wanted = left.sum(axis=0) + information, expected_right - right.sum(axis=0)
         theta = np.linalg.solve(whole, wanted)
     without = np.stack(
-        [np.linalg.solve(whole - part, wanted + more) for part, more in zip(left, right, strict=True)]
+        [
+            np.linalg.solve(whole - part, wanted + more)
+            for part, more in zip(left, right, strict=True)
+        ]
     )
     inverse = np.linalg.inv(whole)
     least = -state.gear.inverse_friction
     theta, without = _not_below(theta, inverse, least), np.stack([_not_below(one, inverse, least) for one in without])
-    visited = np.sum([part.visited for part in parts], axis=0)
     change = (theta[UNKNOWNS:] - state.theta[UNKNOWNS:]).reshape(2, b)
     change -= change[:, [b // 2]]
     moved = float(np.sqrt(np.average(change**2, weights=np.maximum(visited, 1e-9))))
     likeness = np.mean([part.likeness for part in parts], axis=0)
-    return BogieFit(theta, without, inverse @ information @ inverse.T, state.gear, visited, likeness, moved)
+    by_curves = inverse[:, UNKNOWNS:]
+    return BogieFit(
+        theta,
+        without,
+        inverse[:, :UNKNOWNS].T / known.stds[:, None],
+        by_curves @ information[UNKNOWNS:, UNKNOWNS:] @ by_curves.T,
+        state.gear,
+        visited,
+        likeness,
+        moved,
+    )
 
 
 def _not_below(theta: FloatArray, inverse: FloatArray, least: float) -> FloatArray:

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
+from estimation.bogie.equations import PARAMETERS
 from estimation.bogie.fit import BogieFit
 from estimation.bogie.parameters import BOGIE
 from estimation.geometry.conicity import CurveReplicates
 from estimation.geometry.uncertainty import DisplacementError, ParameterUncertainty
 from estimation.values.arrays import FloatArray
+from estimation.values.error_parts import ErrorSource
+
+_BY_NAME = {
+    "stiffness": ErrorSource.STIFFNESS,
+    "friction": ErrorSource.FRICTION,
+    "creep": ErrorSource.CREEP,
+    "inertia": ErrorSource.INERTIA,
+    "_": ErrorSource.SENSORS,
+}
+
+SOURCES = tuple(
+    next(source for part, source in _BY_NAME.items() if part in name) for name in PARAMETERS
+)  # of the error by each parameter
 
 
 def curve_replicates(
@@ -26,29 +38,28 @@ def curve_replicates(
     # what is slow has no mean: R is counted from its mean over the run
     centred = np.eye(len(visited)) - visited / visited.sum()
     curves = fit.replicates[:, own] @ centred.T
-    values, vectors = np.linalg.eigh(centred @ fit.by_prior[own, own] @ centred.T)
-    by_prior = (vectors * np.sqrt(np.maximum(values, 0.0))).T
-    of_scale = uncertainty.scale * curves[:1]
-    variance = float(np.average((BOGIE.node_step * (np.arange(len(visited)) - len(visited) // 2)) ** 2, weights=visited))
-    # instruments: the noise of y - d does not stretch it, but for that of the alignment, which is in both
-    dilution = min(uncertainty.alignment_noise**2 / variance, 1.0) if variance > 0.0 else 1.0
+    values, vectors = np.linalg.eigh(centred @ fit.by_bends[own, own] @ centred.T)
+    seen = values > BOGIE.least_bend_share * values[-1]
+    of_bends = (vectors[:, seen] * np.sqrt(values[seen])).T
+    of_parameters = fit.by_parameter[:, own] @ centred.T
     error = DisplacementError(
         displacement_std,
-        0.0,
-        math.hypot(uncertainty.displacement, dilution),
+        0.0,  # the instruments and ``by_alignment`` have seen to that
+        uncertainty.displacement,
         jump_position_std=uncertainty.jump_position_std,
         jump_mean_std=uncertainty.jump_mean_std,
     )
     return CurveReplicates(
         edges=edges,
         difference=in_bins(curves),
-        sensitivity=np.moveaxis(in_bins(np.concatenate([by_prior, of_scale])), 0, 1),
+        sensitivity=np.moveaxis(in_bins(np.concatenate([of_parameters, of_bends, uncertainty.scale * curves[:1]])), 0, 1),
         usable=visited >= BOGIE.least_visited,
         error=error,
         count=count,
         band_limited=True,
         held_shares=uncertainty.held_shares,
         contact_roll=uncertainty.contact_roll,
+        sources=(*SOURCES, *[ErrorSource.BLUR] * len(of_bends), ErrorSource.SCALE),
     )
 
 

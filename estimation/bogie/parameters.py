@@ -45,6 +45,7 @@ class BogieFitParameters:
     most_saturation: float = 0.9  # of the bound of a wheel's creep force, as far as the law is followed
     held: float = 1e-3  # of what is known of bends, by which curves stay where nothing else is known of them
     # published
+    least_bend_share: float = 1e-6  # of the largest variance of the curves by their bends: less is left out
     least_visited: float = 40.0  # m run at a node
 
 

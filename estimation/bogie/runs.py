@@ -107,4 +107,3 @@ def _run(
         swapped=swapped,
         ahead=ahead,
     )
-
