@@ -183,12 +183,7 @@ def _solved(known: Beforehand, state: _State, bend_std: float) -> BogieFit:
         right = np.stack([sum(one for (_, one), g in zip(sums, groups, strict=True) if g == n) for n in numbers])
         whole, wanted = left.sum(axis=0) + information, expected_right - right.sum(axis=0)
         theta = np.linalg.solve(whole, wanted)
-    without = np.stack(
-        [
-            np.linalg.solve(whole - part, wanted + more)
-            for part, more in zip(left, right, strict=True)
-        ]
-    )
+    without = np.stack([np.linalg.solve(whole - part, wanted + more) for part, more in zip(left, right, strict=True)])
     inverse = np.linalg.inv(whole)
     least = -state.gear.inverse_friction
     theta, without = _not_below(theta, inverse, least), np.stack([_not_below(one, inverse, least) for one in without])

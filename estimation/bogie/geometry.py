@@ -26,7 +26,12 @@ SOURCES = tuple(
 
 
 def curve_replicates(
-    fit: BogieFit, axle: int, edges: FloatArray, uncertainty: ParameterUncertainty, displacement_std: float, count: float
+    fit: BogieFit,
+    axle: int,
+    edges: FloatArray,
+    uncertainty: ParameterUncertainty,
+    displacement_std: float,
+    count: float,
 ) -> CurveReplicates:
     """Return R of an axle, 0 or 1, over bins that are centred on the nodes.
 
@@ -52,7 +57,9 @@ def curve_replicates(
     return CurveReplicates(
         edges=edges,
         difference=in_bins(curves),
-        sensitivity=np.moveaxis(in_bins(np.concatenate([of_parameters, of_bends, uncertainty.scale * curves[:1]])), 0, 1),
+        sensitivity=np.moveaxis(
+            in_bins(np.concatenate([of_parameters, of_bends, uncertainty.scale * curves[:1]])), 0, 1
+        ),
         usable=visited >= BOGIE.least_visited,
         error=error,
         count=count,

@@ -44,6 +44,11 @@ class BogieFitParameters:
     inverse_friction_std: float = 1.5  # rails have 2 to 6; the linear law 0
     most_saturation: float = 0.9  # of the bound of a wheel's creep force, as far as the law is followed
     held: float = 1e-3  # of what is known of bends, by which curves stay where nothing else is known of them
+    # which bogies
+    usual_wave: float = 15.0  # m, of wheelsets that steer: for how much of a moment takes rolling
+    usual_speed: float = 20.0  # m/s
+    least_spring_share: float = 0.8  # of the yaw spring in spring and rolling: coaches have 0.93, soft bogies 0.36
+    groups: int = 16  # of the jackknife
     # published
     least_bend_share: float = 1e-6  # of the largest variance of the curves by their bends: less is left out
     least_visited: float = 40.0  # m run at a node

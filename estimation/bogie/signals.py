@@ -9,8 +9,7 @@ import numpy as np
 
 from estimation.bogie.parameters import BOGIE
 from estimation.filters import remove_wander
-from estimation.motion.integration import IntegratedSegment, IntegratedWindow
-from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
+from estimation.values.arrays import FloatArray, FrozenArrays
 
 
 @dataclass(frozen=True, slots=True)
