@@ -12,11 +12,10 @@ f11 stays as it is on file: the equations but for the rolling term and R are hom
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
 from estimation.bogie.parameters import BOGIE
+from estimation.bogie.signals import BogieRun
 from estimation.bogie.simulation import Gear, Simulated
 from estimation.values.arrays import FloatArray
 
@@ -40,19 +39,8 @@ PARAMETERS = (
 )
 
 
-class Moved(Protocol):
-    """Signals of a bogie, measured or simulated."""
-
-    @property
-    def lateral(self) -> FloatArray: ...
-    @property
-    def yaw(self) -> FloatArray: ...
-    @property
-    def roll(self) -> FloatArray: ...
-    @property
-    def frame_lateral(self) -> FloatArray: ...
-    @property
-    def frame_yaw(self) -> FloatArray: ...
+Moved = BogieRun | Simulated
+"""Signals of a bogie, measured or simulated."""
 
 
 def terms(gear: Gear, moved: Moved, saturated: Simulated, speed: FloatArray) -> FloatArray:

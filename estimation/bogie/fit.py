@@ -84,6 +84,7 @@ class BogieFit(FrozenArrays):
     gear: Gear  # with the friction about which the equations were linear last
     visited: Annotated[FloatArray, 2, "b"]  # m run at each node, by axle
     likeness: Annotated[FloatArray, 2]  # correlation of simulated and measured y - d, by axle
+    open_std: Annotated[FloatArray, 2]  # m, of y - d by what is simulated of it, by axle
     moved: float  # m, rms by which the last round changed R where the wheelsets have been
 
     @property
@@ -190,7 +191,8 @@ def _solved(known: Beforehand, state: _State, bend_std: float) -> BogieFit:
     change = (theta[UNKNOWNS:] - state.theta[UNKNOWNS:]).reshape(2, b)
     change -= change[:, [b // 2]]
     moved = float(np.sqrt(np.average(change**2, weights=np.maximum(visited, 1e-9))))
-    likeness = np.mean([part.likeness for part in parts], axis=0)
+    likeness = np.mean([part.followed.likeness for part in parts], axis=0)
+    open_std = np.sqrt(np.mean([part.followed.open_std**2 for part in parts], axis=0))
     by_curves = inverse[:, UNKNOWNS:]
     return BogieFit(
         theta,
@@ -200,6 +202,7 @@ def _solved(known: Beforehand, state: _State, bend_std: float) -> BogieFit:
         state.gear,
         visited,
         likeness,
+        open_std,
         moved,
     )
 

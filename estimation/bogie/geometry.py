@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from estimation.bogie.equations import PARAMETERS
@@ -9,7 +11,7 @@ from estimation.bogie.fit import BogieFit
 from estimation.bogie.parameters import BOGIE
 from estimation.geometry.conicity import CurveReplicates
 from estimation.geometry.uncertainty import DisplacementError, ParameterUncertainty
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import FloatArray, bin_centres
 from estimation.values.error_parts import ErrorSource
 
 _BY_NAME = {
@@ -30,13 +32,13 @@ def curve_replicates(
     axle: int,
     edges: FloatArray,
     uncertainty: ParameterUncertainty,
-    displacement_std: float,
+    sensors_std: float,
     count: float,
 ) -> CurveReplicates:
     """Return R of an axle, 0 or 1, over bins that are centred on the nodes.
 
     Args:
-        displacement_std: Of y - d by alignment and sensors, m.
+        sensors_std: Of y - d by sensors, m.
         count: Windows.
     """
     own, visited = fit.curve(axle), fit.visited[axle]
@@ -47,19 +49,21 @@ def curve_replicates(
     seen = values > BOGIE.least_bend_share * values[-1]
     of_bends = (vectors[:, seen] * np.sqrt(values[seen])).T
     of_parameters = fit.by_parameter[:, own] @ centred.T
-    error = DisplacementError(
-        displacement_std,
-        0.0,  # the instruments and ``by_alignment`` have seen to that
-        uncertainty.displacement,
+    # what the instruments have in common with y - d flattens the curve; the noise of the sensors does not
+    shared = float(np.hypot(uncertainty.alignment_noise, fit.open_std[axle]))
+    centre, scale = bin_centres(edges), uncertainty.displacement
+    of_shared = DisplacementError.of(shared, centre, visited, integrated=True, scale=scale)
+    error = replace(
+        of_shared,
+        std=float(np.hypot(shared, sensors_std)),
         jump_position_std=uncertainty.jump_position_std,
         jump_mean_std=uncertainty.jump_mean_std,
     )
+    shapes = in_bins(np.concatenate([of_parameters, of_bends, uncertainty.scale * curves[:1]]))
     return CurveReplicates(
         edges=edges,
         difference=in_bins(curves),
-        sensitivity=np.moveaxis(
-            in_bins(np.concatenate([of_parameters, of_bends, uncertainty.scale * curves[:1]])), 0, 1
-        ),
+        sensitivity=np.moveaxis(shapes, 0, 1),
         usable=visited >= BOGIE.least_visited,
         error=error,
         count=count,

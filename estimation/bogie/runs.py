@@ -56,7 +56,7 @@ def bogie_runs(
             [_with_way_there(axle, segment, track, facing, cutoff) for axle, segment in zip(axles, pair, strict=True)]
         )
         if np.isfinite(ahead).all():
-            yield _run(*pair, ahead, parameters, swapped=swapped)
+            yield _run(pair[0], pair[1], ahead, parameters, swapped=swapped)
 
 
 def _with_way_there(

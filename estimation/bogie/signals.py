@@ -56,8 +56,17 @@ def mixed_displacement(run: BogieRun, simulated: FloatArray) -> FloatArray:
     return np.asarray(simulated + difference)
 
 
-def likeness(run: BogieRun, simulated: FloatArray) -> FloatArray:
-    """Return the correlation (2,) of simulated with measured y - d (2, n) in the waves that are measured."""
+@dataclass(frozen=True, slots=True)
+class Followed(FrozenArrays):
+    """How a simulation follows what was measured, by wheelset."""
+
+    likeness: Annotated[FloatArray, 2]  # correlation of y - d in the waves that are measured
+    open_std: Annotated[FloatArray, 2]  # m, std of what the longer ones, which are simulated, may be off
+
+
+def followed(run: BogieRun, simulated: FloatArray) -> Followed:
+    """Return how simulated y - d (2, n) follows the measured one: longer waves as much as those that are measured."""
     known = np.ones(len(run), dtype=np.bool_)
     fast = remove_wander(np.concatenate([run.relative, simulated]), run.run, known, BOGIE.carried_wave)
-    return np.array([np.corrcoef(fast[axle], fast[2 + axle])[0, 1] for axle in range(2)])
+    alike = np.array([np.corrcoef(fast[axle], fast[2 + axle])[0, 1] for axle in range(2)])
+    return Followed(alike, (simulated - fast[2:]).std(axis=1) * np.sqrt(2.0 * np.clip(1.0 - alike, 0.0, 1.0)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated
@@ -13,7 +14,7 @@ from estimation.bogie.curves import Curves, look_up, nodes
 from estimation.bogie.parameters import BOGIE
 from estimation.bogie.signals import BogieRun
 from estimation.compiled import compiled
-from estimation.values.arrays import FloatArray, FrozenArrays
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.vehicle.linear_model import LinearContact, bogie_model
 from estimation.vehicle.parameters import VEHICLE
 from estimation.vehicle.vehicle_class import BogieParameters, VehicleParameters
@@ -84,21 +85,49 @@ def share_of_linear(linear: float) -> float:
     return 1.0 / linear
 
 
+@compiled(nogil=True)
+def saturate(
+    creep: FloatArray, v: float, value: float, rate: float, psi: float, dy: float, dpsi: float, drive: FloatArray,
+    axle: int,
+) -> None:  # fmt: skip
+    """Write what saturation takes from the yaw and lateral acceleration of an axle."""
+    f11, f22, f23, half, r0, inertia, mass, bound, _ = creep
+    slip = dy + r0 * rate / (2.0 * half) - v * psi
+    lateral = -2.0 * f22 * slip / v - 2.0 * f23 * dpsi / v
+    moment = -half * f11 * value / r0 - 2.0 * half * half * f11 * dpsi / v + 2.0 * f23 * slip / v
+    less = share_of_linear(math.hypot(moment / (2.0 * half), 0.5 * lateral) / bound) - 1.0
+    drive[4 + axle], drive[6 + axle] = less * moment / inertia, less * lateral / mass
+
+
+@compiled(nogil=True)
+def advance(transition: FloatArray, entry: FloatArray, drive: FloatArray, state: FloatArray, new: FloatArray) -> None:
+    """Replace the state (14,) by the next one; ``new`` (14,) is written over."""
+    for k in range(STATES):
+        total = 0.0
+        for j in range(STATES):
+            total += transition[k, j] * state[j]
+        for j in range(INPUTS):
+            total += entry[k, j] * drive[j]
+        new[k] = total
+    for k in range(STATES):
+        state[k] = new[k]
+
+
 @compiled(nogil=True, error_model="numpy")
 def step_through(
-    track: FloatArray, slope: FloatArray, speed: FloatArray, table: np.ndarray, transitions: FloatArray,
+    track: FloatArray, slope: FloatArray, speed: FloatArray, table: IntArray, transitions: FloatArray,
     inputs: FloatArray, curves: FloatArray, x0: float, per_x: float, creep: FloatArray, out: FloatArray,
 ) -> int:  # fmt: skip
     """Write the states (14, n), then R (2, n) and x as EN 15302 means it (2, n), over the alignment (2, n).
 
     Returns how many samples it came through before a wheelset left the track.
     """
-    f11, f22, f23, half, r0, inertia, mass, bound, height = creep
+    half, bound, height = creep[3], creep[7], creep[8]
     state, new = np.zeros(STATES), np.zeros(STATES)
     drive, before, ahead = np.zeros(INPUTS), np.zeros(INPUTS), np.zeros(INPUTS)
     state[0], state[2], state[4] = track[0, 0], track[1, 0], 0.5 * (track[0, 0] + track[1, 0])
     difference = np.zeros(2)
-    for i in range(track.shape[1]):
+    for i in range(len(speed)):
         v = speed[i]
         for axle in range(2):
             y, psi = state[2 * axle], state[2 * axle + 1]
@@ -112,34 +141,14 @@ def step_through(
             drive[axle], drive[2 + axle] = value, rate
             out[STATES + axle, i], out[STATES + 2 + axle, i] = value, x
             if bound > 0.0:
-                slip = dy + r0 * rate / (2.0 * half) - v * psi
-                lateral = -2.0 * f22 * slip / v - 2.0 * f23 * dpsi / v
-                moment = -half * f11 * value / r0 - 2.0 * half * half * f11 * dpsi / v + 2.0 * f23 * slip / v
-                force = math_hypot(moment / (2.0 * half), 0.5 * lateral)
-                less = share_of_linear(force / bound) - 1.0
-                drive[4 + axle], drive[6 + axle] = less * moment / inertia, less * lateral / mass
+                saturate(creep, v, value, rate, psi, dy, dpsi, drive, axle)
         for k in range(STATES):
             out[k, i] = state[k]
-        a, b = transitions[table[i]], inputs[table[i]]
         for k in range(INPUTS):
             ahead[k] = 1.5 * drive[k] - 0.5 * before[k] if i > 0 else drive[k]
             before[k] = drive[k]
-        for k in range(STATES):
-            total = 0.0
-            for j in range(STATES):
-                total += a[k, j] * state[j]
-            for j in range(INPUTS):
-                total += b[k, j] * ahead[j]
-            new[k] = total
-        for k in range(STATES):
-            state[k] = new[k]
-    return track.shape[1]
-
-
-@compiled(nogil=True)
-def math_hypot(a: float, b: float) -> float:
-    """Return the length of (a, b)."""
-    return np.sqrt(a * a + b * b)
+        advance(transitions[table[i]], inputs[table[i]], ahead, state, new)
+    return len(speed)
 
 
 def simulate(gear: Gear, curves: Curves, run: BogieRun) -> Simulated | None:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from estimation.bogie.curves import Curves, add_hats, add_means, nodes
 from estimation.bogie.equations import EQUATIONS, PARAMETERS, terms
 from estimation.bogie.parameters import BOGIE
-from estimation.bogie.signals import BogieRun, likeness, mixed_displacement
+from estimation.bogie.signals import BogieRun, Followed, followed, mixed_displacement
 from estimation.bogie.simulation import Gear, Simulated, simulate
 from estimation.values.arrays import FloatArray, IntArray
 
@@ -32,7 +32,7 @@ class Spectra:
 
     measured: ComplexArray  # (s, 3, 1 + u, m); what is known of the equations comes first
     simulated: ComplexArray  # (s, 3, u, m): instruments
-    likeness: FloatArray  # (2,) correlation of simulated and measured y - d, by axle
+    followed: Followed  # by axle
     visited: FloatArray  # (2, b) m run at each node
     group: int  # of the jackknife
 
@@ -92,10 +92,11 @@ def spectra(gear: Gear, curves: Curves, run: BogieRun, group: int) -> Spectra | 
     b = visited.shape[1]
     place = unknowns_by_axle(b) if run.swapped else np.arange(UNKNOWNS + 2 * b)
     known_first = np.concatenate([[0], 1 + place])
+    follows = followed(run, moved.relative)
     return Spectra(
         _laid_out(_transformed(measured, starts))[:, :, known_first],
         _laid_out(_transformed(simulated, starts))[:, :, 1 + place],
-        likeness(run, moved.relative)[order],
+        Followed(follows.likeness[order], follows.open_std[order]),
         visited[order],
         group,
     )
@@ -155,8 +156,8 @@ def error_spectrum(parts: Sequence[Spectra], theta: FloatArray) -> ErrorSpectrum
     covariance = np.empty(0, dtype=np.complex128)
     for _ in range(BOGIE.scale_rounds):
         pairs = zip(left, scales, strict=True)
-        power = sum(np.einsum("sem,sfm,s->mef", part, part.conj(), 1.0 / scale) for part, scale in pairs)
-        covariance = _smooth(np.asarray(power) / sum(map(len, left)))
+        powers = [np.einsum("sem,sfm,s->mef", part, part.conj(), 1.0 / scale) for part, scale in pairs]
+        covariance = _smooth(np.asarray(np.sum(powers, axis=0) / sum(map(len, left)), np.complex128))
         inverse = np.linalg.inv(covariance)
         scales = [np.einsum("sem,mef,sfm->s", part.conj(), inverse, part).real for part in left]
         scales = [scale / (EQUATIONS * len(covariance)) for scale in scales]

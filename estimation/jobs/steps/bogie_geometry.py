@@ -55,14 +55,13 @@ class FittedBogie:
     fit: BogieFit | Reason
     axle: int  # of the wheelset in its bogie, 0 or 1
     windows: int
-    displacement_std: float  # m, of y - d by alignment and sensors
+    sensors_std: float  # m, of y - d by the sensors
 
     def replicates(self, bins: BinParameters, uncertainty: ParameterUncertainty) -> CurveReplicates | Reason:
         """Return R of the wheelset, or why there is none."""
         if isinstance(self.fit, Reason):
             return self.fit
-        std = float(np.hypot(uncertainty.alignment_noise, self.displacement_std))
-        return curve_replicates(self.fit, self.axle, bins.edges, uncertainty, std, float(self.windows))
+        return curve_replicates(self.fit, self.axle, bins.edges, uncertainty, self.sensors_std, float(self.windows))
 
     def as_json(self) -> Mapping[str, JsonValue]:
         """Return the findings, for the provenance."""
@@ -89,7 +88,7 @@ class BogieWindows:
         object.__setattr__(self, "_loader", WindowLoader(self.unit))
 
     def fitted(self, members: Sequence[Member], assumed: Assumed) -> FittedBogie | None:
-        """Return what windows of a wheelset say of its bogie; None where they are on an alignment without long waves."""
+        """Return what windows of a wheelset say of its bogie; None where no alignment with long waves is on file."""
         chosen = self._chosen(members)
         if not chosen:
             return None
