@@ -137,7 +137,7 @@ def step_through(
                 return i
             value, rise = look_up(curves[axle], x0, per_x, x)
             difference[axle] = value
-            rate = rise * (dy - slope[axle, i])
+            rate = rise * (dy - slope[axle, i]) / (1.0 - height * rise / (2.0 * half))
             drive[axle], drive[2 + axle] = value, rate
             out[STATES + axle, i], out[STATES + 2 + axle, i] = value, x
             if bound > 0.0:
