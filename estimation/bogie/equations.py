@@ -19,7 +19,7 @@ from estimation.bogie.signals import BogieRun
 from estimation.bogie.simulation import Gear, Simulated
 from estimation.values.arrays import FloatArray
 
-EQUATIONS = 3
+EQUATIONS = len(("E_1", "E_2", "E_6"))
 PARAMETERS = (
     "yaw_stiffness",  # k, relative
     "lateral_stiffness",  # ky, relative

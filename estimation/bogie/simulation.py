@@ -15,14 +15,14 @@ from estimation.bogie.parameters import BOGIE
 from estimation.bogie.signals import BogieRun
 from estimation.compiled import compiled
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
-from estimation.vehicle.linear_model import LinearContact, bogie_model
+from estimation.vehicle.linear_model import COORDINATES, LinearContact, bogie_model
 from estimation.vehicle.parameters import VEHICLE
-from estimation.vehicle.vehicle_class import BogieParameters, VehicleParameters
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleParameters
 
-STATES, INPUTS = 14, 8
-FARTHEST = 0.02  # m, of y - d: a bogie that hunts so far has other curves
+INPUTS = len(("R", "R'", "yaw acceleration by saturation", "lateral acceleration by saturation")) * AXLES_OF_A_BOGIE
+RATES = len(COORDINATES)  # place of the first rate in a state
+STATES = RATES + len(COORDINATES)
 FRONT_Y, FRONT_YAW, REAR_Y, REAR_YAW, FRAME_Y, FRAME_YAW = 0, 1, 2, 3, 4, 5
-RATES = 7  # place of the first rate in a state
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,18 +53,16 @@ class Simulated(FrozenArrays):
     relative: Annotated[FloatArray, 2, "n"]  # y - d as EN 15302 means it, m
 
 
-_FEW = 1e-6  # conicity of the model without a curve
-
-
 @lru_cache(maxsize=4096)
 def _stepping(vehicle: VehicleParameters, bogie: BogieParameters, speed: float, dt: float) -> tuple[FloatArray, ...]:
     """Return transition (14, 14) and input (14, 8) of a step; inputs are R, R', yaw and lateral acceleration of both.
 
     Contact angles and roll are in proportion to R.
     """
-    without = bogie_model(vehicle, bogie, speed, LinearContact(conicity=_FEW)).matrix
-    with_curve = bogie_model(vehicle, bogie, speed, LinearContact(conicity=_FEW + 0.5)).matrix
-    per_conicity = (with_curve - without) / 0.5
+    span = BOGIE.start_conicity
+    without = bogie_model(vehicle, bogie, speed, LinearContact(conicity=BOGIE.flat_conicity)).matrix
+    with_curve = bogie_model(vehicle, bogie, speed, LinearContact(conicity=BOGIE.flat_conicity + span)).matrix
+    per_conicity = (with_curve - without) / span
     drive = np.zeros((STATES, INPUTS))
     for axle in range(2):
         drive[:, axle] = per_conicity[:, 2 * axle] / 2.0
@@ -72,7 +70,7 @@ def _stepping(vehicle: VehicleParameters, bogie: BogieParameters, speed: float, 
         drive[RATES + 2 * axle + 1, 4 + axle] = 1.0
         drive[RATES + 2 * axle, 6 + axle] = 1.0
     whole = np.zeros((STATES + INPUTS, STATES + INPUTS))
-    whole[:STATES, :STATES], whole[:STATES, STATES:] = without - 2 * 0.5 * _FEW * per_conicity, drive
+    whole[:STATES, :STATES], whole[:STATES, STATES:] = without - BOGIE.flat_conicity * per_conicity, drive
     step = expm(dt * whole)
     return step[:STATES, :STATES], step[:STATES, STATES:]
 
@@ -116,7 +114,8 @@ def advance(transition: FloatArray, entry: FloatArray, drive: FloatArray, state:
 @compiled(nogil=True, error_model="numpy")
 def step_through(
     track: FloatArray, slope: FloatArray, speed: FloatArray, table: IntArray, transitions: FloatArray,
-    inputs: FloatArray, curves: FloatArray, x0: float, per_x: float, creep: FloatArray, out: FloatArray,
+    inputs: FloatArray, curves: FloatArray, x0: float, per_x: float, farthest: float, creep: FloatArray,
+    out: FloatArray,
 ) -> int:  # fmt: skip
     """Write the states (14, n), then R (2, n) and x as EN 15302 means it (2, n), over the alignment (2, n).
 
@@ -133,7 +132,7 @@ def step_through(
             y, psi = state[2 * axle], state[2 * axle + 1]
             dy, dpsi = state[RATES + 2 * axle], state[RATES + 2 * axle + 1]
             x = y - track[axle, i] + height * difference[axle] / (2.0 * half)
-            if not abs(x) < FARTHEST:
+            if not abs(x) < farthest:
                 return i
             value, rise = look_up(curves[axle], x0, per_x, x)
             difference[axle] = value
@@ -171,7 +170,7 @@ def simulate(gear: Gear, curves: Curves, run: BogieRun) -> Simulated | None:
     per_x = 1.0 / BOGIE.node_step
     ahead = np.ascontiguousarray(run.ahead)
     through = step_through(ahead, slope, speed, table.astype(np.int64), transitions, inputs,
-                 np.ascontiguousarray(curves.values), float(x[0]), per_x, creep, out)  # fmt: skip
+                 np.ascontiguousarray(curves.values), float(x[0]), per_x, BOGIE.farthest, creep, out)  # fmt: skip
     return _simulated(out[:, before:], p, dt) if through == len(speed) else None
 
 

@@ -24,7 +24,7 @@ from estimation.jobs.steps.assumptions import (
     PassedOverWindows,
     membership,
 )
-from estimation.jobs.steps.bogie_geometry import BogieWindows, FittedBogie, held_by_spring
+from estimation.jobs.steps.bogie_geometry import bogie_of, stated_of
 from estimation.jobs.steps.estimated_geometry import (
     CONTRADICTIONS,
     EstimatedWith,
@@ -38,17 +38,7 @@ from estimation.jobs.steps.estimated_geometry import (
     versions_of,
     windows_of_newest,
 )
-from estimation.jobs.steps.rolling import (
-    Part,
-    Place,
-    Rolled,
-    by_interval,
-    members,
-    read_ahead,
-    read_sums_ahead,
-    rolled,
-    sums,
-)
+from estimation.jobs.steps.rolling import Part, Place, Rolled, by_interval, read_ahead, read_sums_ahead, rolled, sums
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import weighted_sum
 from estimation.values.fields import JsonValue
@@ -80,7 +70,6 @@ class RolledGeometries:
     rules: Membership
     rolled: Rolled
     context: JobContext
-    bogies: BogieWindows = field(init=False)
     radius: RadiusOnFile = field(init=False)  # what the geometries tell of the radius on file
     # digest and sum of the earlier intervals, set only if this run computed them
     earlier: tuple[str, BinTable] | None = None
@@ -89,7 +78,6 @@ class RolledGeometries:
     kept_sums: dict[RollUpKey, tuple[BinTable, BinTable]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.bogies = BogieWindows(self.unit)
         self.radius = RadiusOnFile(self.unit, self.rules.wheelset)
         self._passed_over = PassedOverWindows(self.unit, self.rules)
 
@@ -235,7 +223,7 @@ class RolledGeometries:
         roll_ups, used = [part.roll_up for part in parts], self.estimated_with(parts)
         current, last = place[1] is None, max(roll_ups, key=lambda roll_up: roll_up.last_ns)
         table = self.forgetting_sum(parts) if current else self.sums(parts[0])[0]
-        bogie = self._bogie(parts, used)
+        bogie = bogie_of(self.unit, self.rules, parts, used.assumed)
         geometry, contradiction = used.estimated(table, bogie), None
         if geometry.status is not Status.MODEL_MISMATCH:
             contradiction = self.contradiction(parts, place)
@@ -251,22 +239,10 @@ class RolledGeometries:
             geometry=geometry.against(contradiction),
             input_digest=digest,
             track_versions=versions_of(roll_ups),
-            parameters={
-                **used.as_json(),
-                **({} if bogie is None else bogie.as_json()),
-                **passed_over,
-                **stated(contradiction),
-            },
+            parameters={**used.as_json(), **stated_of(bogie), **passed_over, **stated(contradiction)},
             code_version=self.context.code_version,
             recorded_ns=self.context.clock.now_ns(),
         )
-
-    def _bogie(self, parts: Sequence[Part], used: EstimatedWith) -> FittedBogie | None:
-        """Return what the windows of some roll-ups say of their bogie, where it is estimated as one."""
-        if not held_by_spring(used.assumed.window_parameters.vehicle_class):
-            return None
-        windows = [member for part in parts for member in members(self.unit, self.rules, part)]
-        return self.bogies.fitted(sorted(windows, key=lambda member: member.start_ns), used.assumed)
 
     def estimated_with(self, parts: Sequence[Part]) -> EstimatedWith:
         """Return the inputs of a geometry of some roll-ups; the class is that of the last one."""

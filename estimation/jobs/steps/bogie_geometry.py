@@ -22,8 +22,9 @@ from estimation.errors import DamagedError, NotFoundError
 from estimation.geometry.conicity import CurveReplicates
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.parameters import JOBS, WORK
-from estimation.jobs.steps.assumptions import Assumed
+from estimation.jobs.steps.assumptions import Assumed, Membership
 from estimation.jobs.steps.load_window import WindowLoader, certain_stretches
+from estimation.jobs.steps.rolling import Part, members
 from estimation.motion.checks import away_from_low_adhesion
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import BinParameters
@@ -63,14 +64,25 @@ class FittedBogie:
             return self.fit
         return curve_replicates(self.fit, self.axle, bins.edges, uncertainty, self.sensors_std, float(self.windows))
 
-    def as_json(self) -> Mapping[str, JsonValue]:
-        """Return the findings, for the provenance."""
-        if isinstance(self.fit, Reason):
-            return {BOGIE_FOUND: {"code": self.fit.code.value, "text": self.fit.text}}
-        names = ("stiffness_ratio", "stiffness_ratio_std", "inverse_friction", "inverse_friction_std")
-        values = (*self.fit.stiffness_ratio, *self.fit.inverse_friction)
-        found: dict[str, JsonValue] = dict(zip(names, values, strict=True))
-        return {BOGIE_FOUND: found | {"windows": self.windows, "likeness": float(self.fit.likeness.min())}}
+
+def stated_of(found: FittedBogie | None) -> Mapping[str, JsonValue]:
+    """Return what a geometry keeps of its bogie among its parameters."""
+    if found is None:
+        return {}
+    if isinstance(found.fit, Reason):
+        return {BOGIE_FOUND: {"code": found.fit.code.value, "text": found.fit.text}}
+    names = ("stiffness_ratio", "stiffness_ratio_std", "inverse_friction", "inverse_friction_std")
+    values = (*found.fit.stiffness_ratio, *found.fit.inverse_friction)
+    of_bogie: dict[str, JsonValue] = dict(zip(names, values, strict=True))
+    return {BOGIE_FOUND: of_bogie | {"windows": found.windows, "likeness": float(found.fit.likeness.min())}}
+
+
+def bogie_of(unit: UnitOfWork, rules: Membership, parts: Sequence[Part], assumed: Assumed) -> FittedBogie | None:
+    """Return what the windows of some roll-ups say of their bogie; None where wheelsets are estimated alone."""
+    if not held_by_spring(assumed.window_parameters.vehicle_class):
+        return None
+    windows = [member for part in parts for member in members(unit, rules, part)]
+    return BogieWindows(unit).fitted(sorted(windows, key=lambda member: member.start_ns), assumed)
 
 
 _Key = tuple[str, ...]
