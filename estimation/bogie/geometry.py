@@ -58,6 +58,7 @@ def curve_replicates(
         std=float(np.hypot(shared, sensors_std)),
         jump_position_std=uncertainty.jump_position_std,
         jump_mean_std=uncertainty.jump_mean_std,
+        gauge_known=uncertainty.gauge_known,
     )
     shapes = in_bins(np.concatenate([of_parameters, of_bends, uncertainty.scale * curves[:1]]))
     return CurveReplicates(

@@ -41,9 +41,9 @@ class BogieFitParameters:
     # noise
     noise_bands: int = 24  # of the wavenumbers, over each of which the covariance of the equations is one
     # beforehand
-    inverse_friction: float = 3.0  # 1/mu
+    inverse_friction: float = 3.3  # 1/mu, as ``geometry.uncertainty`` has it
     most_inverse_friction: float = 8.0  # that is followed
-    inverse_friction_std: float = 1.5  # rails have 2 to 6; the linear law 0
+    inverse_friction_std: float = 1.2  # rails have 2 to 6; the linear law 0
     most_saturation: float = 0.9  # of the bound of a wheel's creep force, as far as the law is followed
     held: float = 1e-3  # of what is known of bends, by which curves stay where nothing else is known of them
     # which bogies
