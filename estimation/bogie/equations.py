@@ -16,7 +16,7 @@ import numpy as np
 
 from estimation.bogie.parameters import BOGIE
 from estimation.bogie.signals import BogieRun
-from estimation.bogie.simulation import Gear, Simulated
+from estimation.bogie.simulation import Gear, Simulated, spin_force
 from estimation.values.arrays import FloatArray
 
 EQUATIONS = len(("E_1", "E_2", "E_6"))
@@ -106,7 +106,8 @@ def saturation(gear: Gear, moved: Simulated, axle: int) -> tuple[FloatArray, Flo
     arm = 0.5 * gear.bogie.wheelbase * (1.0 if axle == 0 else -1.0)
     deflection = moved.frame_lateral[0] + arm * moved.frame_yaw[0] - moved.lateral[0, axle]
     across = p.wheelset_mass * moved.lateral[2, axle] + p.load * moved.roll[0, axle] - p.lateral_stiffness * deflection
-    force = np.hypot(moment / (2.0 * p.half_contact_distance), 0.5 * across) / (0.5 * p.axle_load)  # per 1/mu
+    of_creep = np.hypot(moment / (2.0 * p.half_contact_distance), 0.5 * across)
+    force = np.hypot(of_creep, spin_force(p)) / (0.5 * p.axle_load)  # per 1/mu
     f = np.clip(force * gear.inverse_friction, 1e-9, BOGIE.most_saturation)
     more = 3.0 * (1.0 - np.cbrt(1.0 - f)) / f
     by_f = (1.0 / np.cbrt(1.0 - f) ** 2 - more) / f

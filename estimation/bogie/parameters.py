@@ -25,6 +25,7 @@ class BogieFitParameters:
     start_conicity: float = 0.15  # of the first simulation
     # simulation
     farthest: float = 20e-3  # m, of y - d: a bogie that hunts so far has other curves
+    most_rolled: float = 0.3  # of y - d, by the roll of the contact, that the rate of the roll follows: no jump
     flat_conicity: float = 1e-6  # of the linear model, to which the curves are added
     warm_up_m: float = 400.0  # before a run, over which the bogie forgets that it started in the middle
     speed_step: float = 0.1  # m/s, of the tables of the linear model

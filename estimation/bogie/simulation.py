@@ -75,6 +75,11 @@ def _stepping(vehicle: VehicleParameters, bogie: BogieParameters, speed: float, 
     return step[:STATES, :STATES], step[:STATES, STATES:]
 
 
+def spin_force(p: VehicleParameters) -> float:
+    """Return the lateral creep force of a wheel by its contact angle, N: one against that of the other wheel."""
+    return p.lateral_spin_creep_coefficient * 0.5 * VEHICLE.angle_sum / p.nominal_radius
+
+
 @compiled(nogil=True)
 def share_of_linear(linear: float) -> float:
     """Return the share of linear creep that is left, of a linear force over the bound (Vermeulen and Johnson)."""
@@ -89,11 +94,11 @@ def saturate(
     axle: int,
 ) -> None:  # fmt: skip
     """Write what saturation takes from the yaw and lateral acceleration of an axle."""
-    f11, f22, f23, half, r0, inertia, mass, bound, _ = creep
+    f11, f22, f23, half, r0, inertia, mass, bound, _, spin = creep
     slip = dy + r0 * rate / (2.0 * half) - v * psi
     lateral = -2.0 * f22 * slip / v - 2.0 * f23 * dpsi / v
     moment = -half * f11 * value / r0 - 2.0 * half * half * f11 * dpsi / v + 2.0 * f23 * slip / v
-    less = share_of_linear(math.hypot(moment / (2.0 * half), 0.5 * lateral) / bound) - 1.0
+    less = share_of_linear(math.hypot(math.hypot(moment / (2.0 * half), 0.5 * lateral), spin) / bound) - 1.0
     drive[4 + axle], drive[6 + axle] = less * moment / inertia, less * lateral / mass
 
 
@@ -114,8 +119,8 @@ def advance(transition: FloatArray, entry: FloatArray, drive: FloatArray, state:
 @compiled(nogil=True, error_model="numpy")
 def step_through(
     track: FloatArray, slope: FloatArray, speed: FloatArray, table: IntArray, transitions: FloatArray,
-    inputs: FloatArray, curves: FloatArray, x0: float, per_x: float, farthest: float, creep: FloatArray,
-    out: FloatArray,
+    inputs: FloatArray, curves: FloatArray, x0: float, per_x: float, farthest: float, most_rolled: float,
+    creep: FloatArray, out: FloatArray,
 ) -> int:  # fmt: skip
     """Write the states (14, n), then R (2, n) and x as EN 15302 means it (2, n), over the alignment (2, n).
 
@@ -136,7 +141,8 @@ def step_through(
                 return i
             value, rise = look_up(curves[axle], x0, per_x, x)
             difference[axle] = value
-            rate = rise * (dy - slope[axle, i]) / (1.0 - height * rise / (2.0 * half))
+            rolled = min(height * rise / (2.0 * half), most_rolled)  # at a jump the contact crosses at once
+            rate = rise * (dy - slope[axle, i]) / (1.0 - rolled)
             drive[axle], drive[2 + axle] = value, rate
             out[STATES + axle, i], out[STATES + 2 + axle, i] = value, x
             if bound > 0.0:
@@ -164,13 +170,14 @@ def simulate(gear: Gear, curves: Curves, run: BogieRun) -> Simulated | None:
     creep = np.array(
         [p.longitudinal_creep_coefficient, p.lateral_creep_coefficient, p.lateral_spin_creep_coefficient,
          p.half_contact_distance, p.nominal_radius, p.yaw_inertia, p.wheelset_mass, bound,
-         p.nominal_radius + VEHICLE.rail_head_radius]
+         p.nominal_radius + VEHICLE.rail_head_radius, spin_force(p)]
     )  # fmt: skip
     out, x = np.empty((STATES + 4, len(speed))), nodes()
     per_x = 1.0 / BOGIE.node_step
     ahead = np.ascontiguousarray(run.ahead)
     through = step_through(ahead, slope, speed, table.astype(np.int64), transitions, inputs,
-                 np.ascontiguousarray(curves.values), float(x[0]), per_x, BOGIE.farthest, creep, out)  # fmt: skip
+                 np.ascontiguousarray(curves.values), float(x[0]), per_x, BOGIE.farthest,
+                 BOGIE.most_rolled, creep, out)  # fmt: skip
     return _simulated(out[:, before:], p, dt) if through == len(speed) else None
 
 
