@@ -11,7 +11,7 @@ import numpy as np
 from estimation.bogie.curves import Curves, nodes
 from estimation.bogie.equations import PARAMETERS
 from estimation.bogie.parameters import BOGIE
-from estimation.bogie.signals import BogieRun
+from estimation.bogie.signals import BogieRun, placed
 from estimation.bogie.simulation import Gear
 from estimation.bogie.sums import UNKNOWNS, Spectra, error_spectrum, long_enough, normal, spectra
 from estimation.geometry.parameters import PRIORS
@@ -148,6 +148,10 @@ def fit_bogie(known: Beforehand, runs: Sequence[GroupedRun], start: Curves | Non
         found = _solved(known, state, BOGIE.first_bend_std if first else BOGIE.bend_std)
         if not np.isfinite(found.theta).all():
             return Reason(ReasonCode.NOT_FINITE, "the equations of the bogie do not determine its curves")
+        if start is not None or number >= BOGIE.placed_from:
+            used = [
+                (group, placed(run, part.followed.shift)) for (group, run), part in zip(used, state.parts, strict=True)
+            ]
         moved = _moved_on(state, found, used, 1.0 if first else BOGIE.blend)
         if moved is None:
             return _derailed()
@@ -197,7 +201,7 @@ def _solved(known: Beforehand, state: _State, bend_std: float) -> BogieFit:
     return BogieFit(
         theta,
         without,
-        inverse[:, :UNKNOWNS].T / known.stds[:, None],
+        _by_parameter(inverse, known.stds),
         by_curves @ information[UNKNOWNS:, UNKNOWNS:] @ by_curves.T,
         state.gear,
         visited,
@@ -205,6 +209,16 @@ def _solved(known: Beforehand, state: _State, bend_std: float) -> BogieFit:
         open_std,
         moved,
     )
+
+
+def _by_parameter(inverse: FloatArray, stds: FloatArray) -> FloatArray:
+    """Return the changes (p, u) of the unknowns per std of what is known beforehand of each parameter.
+
+    What data say of 1/mu beside the curves hangs on how creep saturates; they are not believed beyond its doubt.
+    """
+    found = inverse[:, :UNKNOWNS].T / stds[:, None]
+    found[FRICTION] = BOGIE.friction_doubt * inverse[:, FRICTION] / inverse[FRICTION, FRICTION]
+    return np.asarray(found)
 
 
 def _not_below(theta: FloatArray, inverse: FloatArray, least: float) -> FloatArray:

@@ -17,6 +17,9 @@ class BogieFitParameters:
     trend_order: int = 3  # of the polynomial in distance that is taken from every segment
     # displacement by which a curve is looked up
     carried_wave: float = 35.0  # m: longer waves of y - d are the simulation's
+    placed_from: int = 2  # round from which runs are placed where the simulation follows best
+    most_shift: float = 0.5  # m, in a round
+    least_slope: float = 1e-12  # sum of squares of the slope of y, so that a bogie that stands still is where it is
     # curves
     node_step: float = 0.25e-3  # m
     reach: float = 7.0e-3  # m
@@ -43,6 +46,7 @@ class BogieFitParameters:
     noise_bands: int = 24  # of the wavenumbers, over each of which the covariance of the equations is one
     # beforehand
     inverse_friction: float = 3.3  # 1/mu, as ``geometry.uncertainty`` has it
+    friction_doubt: float = 1.0  # std of 1/mu as found: 3.3 are found as 1.9 to 2.8
     most_inverse_friction: float = 8.0  # that is followed
     inverse_friction_std: float = 1.2  # rails have 2 to 6; the linear law 0
     most_saturation: float = 0.9  # of the bound of a wheel's creep force, as far as the law is followed

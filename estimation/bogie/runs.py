@@ -11,6 +11,7 @@ from estimation.bogie.parameters import BOGIE
 from estimation.bogie.signals import BogieRun
 from estimation.motion.checks import direction, moving_samples, usable_samples
 from estimation.motion.integration import IntegratedSegment, WindowParameters, integrate, standard_displacement
+from estimation.motion.parameters import MOTION
 from estimation.motion.window_motion import alignment_at
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
@@ -104,6 +105,7 @@ def _run(
         frame_lateral=above[:2].mean(axis=1),
         frame_yaw=leading.frame_yaw[::-1],
         relative=relative,
+        stretch=1.0 + MOTION.hidden_roll_share if leading.level else 1.0,
         swapped=swapped,
         ahead=ahead,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -27,6 +27,7 @@ class BogieRun(FrozenArrays):
     frame_lateral: Annotated[FloatArray, 2, "n"]  # y_f, y_f' of the middle of the frame; m, s
     frame_yaw: Annotated[FloatArray, 3, "n"]  # psi_f, psi_f', psi_f''; rad, s
     relative: Annotated[FloatArray, 2, "n"]  # y - d as EN 15302 means it, m
+    stretch: float  # by which ``relative`` falls per rise of the alignment
     swapped: bool  # the axle of the higher number leads
     ahead: Annotated[FloatArray, 2, "k"]  # d under the axles, m, from ``k - n`` samples before the run on
 
@@ -62,11 +63,30 @@ class Followed(FrozenArrays):
 
     likeness: Annotated[FloatArray, 2]  # correlation of y - d in the waves that are measured
     open_std: Annotated[FloatArray, 2]  # m, std of what the longer ones, which are simulated, may be off
+    shift: float  # m, by which the bogie is further along the track than its positions say
 
 
-def followed(run: BogieRun, simulated: FloatArray) -> Followed:
-    """Return how simulated y - d (2, n) follows the measured one: longer waves as much as those that are measured."""
+def followed(run: BogieRun, simulated: FloatArray, lateral: FloatArray) -> Followed:
+    """Return how a simulation follows a run; longer waves of y - d as much as those that are measured.
+
+    Args:
+        simulated: (2, n) y - d as EN 15302 means it, m.
+        lateral: (2, n) y, m.
+    """
     known = np.ones(len(run), dtype=np.bool_)
-    fast = remove_wander(np.concatenate([run.relative, simulated]), run.run, known, BOGIE.carried_wave)
-    alike = np.array([np.corrcoef(fast[axle], fast[2 + axle])[0, 1] for axle in range(2)])
-    return Followed(alike, (simulated - fast[2:]).std(axis=1) * np.sqrt(2.0 * np.clip(1.0 - alike, 0.0, 1.0)))
+    rows = np.concatenate([run.relative, simulated, run.lateral[0], lateral])
+    measured, ours, own, other = np.split(remove_wander(rows, run.run, known, BOGIE.carried_wave), 4)
+    alike = np.array([np.corrcoef(measured[axle], ours[axle])[0, 1] for axle in range(2)])
+    slope = np.gradient(other, run.run, axis=1)
+    shift = float(np.sum(slope * (own - other)) / max(float(np.sum(slope**2)), BOGIE.least_slope))
+    return Followed(alike, (simulated - ours).std(axis=1) * np.sqrt(2.0 * np.clip(1.0 - alike, 0.0, 1.0)), shift)
+
+
+def placed(run: BogieRun, shift: float) -> BogieRun:
+    """Return a run that is further along the track, by a shift, m."""
+    shift = min(max(shift, -BOGIE.most_shift), BOGIE.most_shift)
+    before = run.ahead.shape[1] - len(run)
+    way = np.concatenate([float(run.speed[0]) * run.interval_s * np.arange(-before, 0), run.run])
+    ahead = np.stack([np.interp(way + shift, way, row) for row in run.ahead])
+    more = ahead[:, before:] - run.track
+    return replace(run, ahead=ahead, relative=run.relative - run.stretch * more)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -92,11 +92,11 @@ def spectra(gear: Gear, curves: Curves, run: BogieRun, group: int) -> Spectra | 
     b = visited.shape[1]
     place = unknowns_by_axle(b) if run.swapped else np.arange(UNKNOWNS + 2 * b)
     known_first = np.concatenate([[0], 1 + place])
-    follows = followed(run, moved.relative)
+    follows = followed(run, moved.relative, moved.lateral[0])
     return Spectra(
         _laid_out(_transformed(measured, starts))[:, :, known_first],
         _laid_out(_transformed(simulated, starts))[:, :, 1 + place],
-        Followed(follows.likeness[order], follows.open_std[order]),
+        replace(follows, likeness=follows.likeness[order], open_std=follows.open_std[order]),
         visited[order],
         group,
     )
