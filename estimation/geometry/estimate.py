@@ -64,18 +64,20 @@ class _Replicates:
     by_scales: FloatArray  # (b, 3, q) R, its slope and curvature per std of what is left of the scales in a bogie
 
 
-def estimate_geometry(table: BinTable, bins: BinParameters, parameters: GeometryParameters) -> WheelsetGeometry:
-    """Return the geometry of the wheelset that ``table`` gives."""
+def estimate_geometry(
+    table: BinTable, bins: BinParameters, parameters: GeometryParameters, of_bogie: CurveReplicates | None = None
+) -> WheelsetGeometry:
+    """Return the geometry of the wheelset that ``table`` gives, with R as found by its bogie as a whole if it is."""
     if table.parameter_key != bins.key:
         raise ValueError(f"table of parameters {table.parameter_key}, expected {bins.key}")
     replicates = _replicates(table, bins, parameters)
     screening = _screened(table, replicates, bins, parameters)
     unc = parameters.uncertainty
-    curve = curve_estimates(_curve(table, replicates, screening, bins, unc), parameters.curve)
+    curve = curve_estimates(of_bogie or _curve(table, replicates, screening, bins, unc), parameters.curve)
     geometry = WheelsetGeometry(
         bin_edges=table.edges,
         samples=table.weight.sum(axis=0),
-        **_combinations(replicates, screening, bins, parameters),
+        **_combinations(replicates, screening, bins, parameters, of_bogie),
         amplitude=curve.amplitude,
         conicity=curve.conicity,
         reported_amplitude=curve.reported_amplitude,
@@ -238,7 +240,11 @@ _STATUSES = (BinStatus.ESTIMATED, BinStatus.TOO_FEW, BinStatus.CONTACT_JUMP, Bin
 
 
 def _combinations(
-    replicates: _Replicates, screening: _BinScreening, bins: BinParameters, parameters: GeometryParameters
+    replicates: _Replicates,
+    screening: _BinScreening,
+    bins: BinParameters,
+    parameters: GeometryParameters,
+    of_bogie: CurveReplicates | None,
 ) -> dict[str, Any]:
     unc, radius, angle = parameters.uncertainty, parameters.prior_radius, parameters.prior_angle
     R, A, D = replicates.yaw[:, :, 1], replicates.yaw[:, :, 0], replicates.lateral[:, :, 2].copy()
@@ -246,6 +252,12 @@ def _combinations(
     by_scales = np.broadcast_to(replicates.by_scales[:, 0], (*R.shape[:2], replicates.by_scales.shape[-1]))
     R = np.concatenate([R, R[:, :, :1], by_scales], axis=-1)
     of_R = np.concatenate([unc.yaw(linear=False), [unc.scale], np.ones(by_scales.shape[-1])])
+    if of_bogie is not None:
+        changes = np.broadcast_to(
+            of_bogie.sensitivity[:, :, 0], (*of_bogie.difference.shape[:2], len(of_bogie.sources))
+        )
+        R = np.concatenate([of_bogie.difference[:, :, :1], changes], axis=-1)
+        of_R = np.ones(len(of_bogie.sources))
     if bins.wheelbase is not None:  # A cannot be seen beside the yaw spring
         A = np.full_like(A, np.nan)
     # the data determine D times f23/r0 - W/2, of which f23 and W are uncertain

@@ -19,6 +19,7 @@ class StageParameters:
     most_gear_windows: int = 600  # of a running gear that count and are kept: 10 hours of running
     # refresh geometry
     remembered_half_lives: float = 20.0  # a weight of one in a million
+    bogie_windows: int = 60  # that stand for all of a mileage interval where a bogie is estimated as one: an hour
     # refresh rails
     gauge_tolerance: float = 0.3e-3  # m, within which gauges count as alike
     gauge_digits: int = 4  # of a gauge in m
@@ -61,6 +62,7 @@ class WorkParameters:
     passes_in_memory: int = 16  # windows that are examined together
     epoch_read_factor: int = 4  # times the windows of an epoch that are read to find it
     roll_ups_in_memory: int = 4  # of a wheelset, 1.5 MB each
+    fits_in_memory: int = 8  # of bogies, until the other wheelset asks for the same
     signature_windows: int = 32  # of a megabyte each, in one transaction
     windows_factor: int = 8  # times as many are read where those that were read do not reach back far enough
     creep_windows: int = 32  # of a megabyte each, in one transaction

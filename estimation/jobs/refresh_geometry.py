@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+from estimation.bogie.parameters import BOGIE
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.parameters import JOBS, WORK
 from estimation.jobs.runner import run
@@ -23,6 +24,7 @@ from estimation.jobs.steps.assumptions import (
     PassedOverWindows,
     membership,
 )
+from estimation.jobs.steps.bogie_geometry import bogie_of, stated_of
 from estimation.jobs.steps.estimated_geometry import (
     CONTRADICTIONS,
     EstimatedWith,
@@ -221,7 +223,8 @@ class RolledGeometries:
         roll_ups, used = [part.roll_up for part in parts], self.estimated_with(parts)
         current, last = place[1] is None, max(roll_ups, key=lambda roll_up: roll_up.last_ns)
         table = self.forgetting_sum(parts) if current else self.sums(parts[0])[0]
-        geometry, contradiction = used.estimated(table), None
+        bogie = bogie_of(self.unit, self.rules, parts, used.assumed)
+        geometry, contradiction = used.estimated(table, bogie), None
         if geometry.status is not Status.MODEL_MISMATCH:
             contradiction = self.contradiction(parts, place)
         counts = self._passed_over.counts(roll_ups)  # of windows that would be estimated differently today
@@ -236,7 +239,7 @@ class RolledGeometries:
             geometry=geometry.against(contradiction),
             input_digest=digest,
             track_versions=versions_of(roll_ups),
-            parameters={**used.as_json(), **passed_over, **stated(contradiction)},
+            parameters={**used.as_json(), **stated_of(bogie), **passed_over, **stated(contradiction)},
             code_version=self.context.code_version,
             recorded_ns=self.context.clock.now_ns(),
         )
@@ -381,6 +384,7 @@ GEOMETRY = Stage(
     kind=GEOMETRIES.subject,
     facets=(Facet.REGISTRY, Facet.TABLES, Facet.RESTARTS, TREND.head_facet),
     settings=lambda settings: settings.estimation,
+    numbers=(BOGIE, JOBS.bogie_windows),
     load=load,
     compute=compute,
     store=store,

@@ -13,6 +13,7 @@ from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.parameters import JOBS
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.assumptions import Assumed, Membership
+from estimation.jobs.steps.bogie_geometry import FittedBogie
 from estimation.jobs.steps.load_window import load_window
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.storage import UnitOfWork
@@ -58,9 +59,13 @@ class EstimatedWith:
         """With what is uncertain of the class, the sensors and the track."""
         return replace(self.settings.geometry, uncertainty=self.uncertainty)
 
-    def estimated(self, table: BinTable) -> WheelsetGeometry:
-        """Return the geometry of windows."""
-        return estimate_geometry(table, self.bins, self.geometry)
+    def estimated(self, table: BinTable, bogie: FittedBogie | None = None) -> WheelsetGeometry:
+        """Return the geometry of windows; R is that of their bogie where that was found."""
+        found = None if bogie is None else bogie.replicates(self.bins, self.uncertainty)
+        if not isinstance(found, Reason):
+            return estimate_geometry(table, self.bins, self.geometry, found)
+        doubt = Contradiction(found, certain=False, relative=0.0)
+        return estimate_geometry(table, self.bins, self.geometry).against(doubt)
 
     def as_json(self) -> Mapping[str, JsonValue]:
         """Return all of it, for the provenance: the class by code, version and digest, the radius, the settings."""

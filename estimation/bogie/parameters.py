@@ -1,0 +1,64 @@
+"""Numbers of the estimation of a bogie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class BogieFitParameters:
+    """How the curves of both wheelsets and the springs of a bogie are found together."""
+
+    # grid and band of the equations
+    grid_step: float = 0.25  # m, of the means along the track: a tenth of the shortest wave
+    segment_m: float = 512.0  # of the Fourier transforms, half overlapping
+    longest_wave: float = 130.0  # m: four waves in a segment; longer ones are drift of the yaw sensors
+    shortest_wave: float = 4.0  # m: surveys by chord show no shorter ones
+    trend_order: int = 3  # of the polynomial in distance that is taken from every segment
+    # displacement by which a curve is looked up
+    carried_wave: float = 35.0  # m: longer waves of y - d are the simulation's
+    placed_from: int = 2  # round from which runs are placed where the simulation follows best
+    most_shift: float = 0.5  # m, in a round
+    least_slope: float = 1e-12  # sum of squares of the slope of y, so that a bogie that stands still is where it is
+    # curves
+    node_step: float = 0.25e-3  # m
+    reach: float = 7.0e-3  # m
+    bend_std: float = 0.05e-3  # m, second difference of R from node to node beforehand: a jump has 0.1 mm
+    first_bend_std: float = 0.003e-3  # m, the same in the first round, in which curves are nearly straight
+    start_conicity: float = 0.15  # of the first simulation
+    # simulation
+    farthest: float = 20e-3  # m, of y - d: a bogie that hunts so far has other curves
+    most_rolled: float = 0.3  # of y - d, by the roll of the contact, that the rate of the roll follows: no jump
+    flat_conicity: float = 1e-6  # of the linear model, to which the curves are added
+    warm_up_m: float = 400.0  # before a run, over which the bogie forgets that it started in the middle
+    speed_step: float = 0.1  # m/s, of the tables of the linear model
+    # rounds
+    rounds: int = 5
+    rounds_again: int = 2  # from the curves of an earlier fit
+    fewest_groups: int = 4  # of the jackknife
+    halvings: int = 4  # of a change after which the simulation derails
+    scale_rounds: int = 3  # of the power of each segment beside the spectrum
+    inner_rounds: int = 2  # of whitening, with the same simulation
+    least_share: float = 0.5  # of a parameter on file, that the simulation follows
+    blend: float = 0.75  # of what a round changes
+    least_likeness: float = 0.9  # correlation of the simulated with the measured y - d
+    # noise
+    noise_bands: int = 24  # of the wavenumbers, over each of which the covariance of the equations is one
+    # beforehand
+    inverse_friction: float = 3.3  # 1/mu, as ``geometry.uncertainty`` has it
+    friction_doubt: float = 1.0  # std of 1/mu as found: 3.3 are found as 1.9 to 2.8
+    most_inverse_friction: float = 8.0  # that is followed
+    inverse_friction_std: float = 1.2  # rails have 2 to 6; the linear law 0
+    most_saturation: float = 0.9  # of the bound of a wheel's creep force, as far as the law is followed
+    held: float = 1e-3  # of what is known of bends, by which curves stay where nothing else is known of them
+    # which bogies
+    usual_wave: float = 15.0  # m, of wheelsets that steer: for how much of a moment takes rolling
+    usual_speed: float = 20.0  # m/s
+    least_spring_share: float = 0.8  # of the yaw spring in spring and rolling: coaches have 0.93, soft bogies 0.36
+    groups: int = 16  # of the jackknife
+    # published
+    least_bend_share: float = 1e-6  # of the largest variance of the curves by their bends: less is left out
+    least_visited: float = 40.0  # m run at a node
+
+
+BOGIE = BogieFitParameters()

@@ -1,0 +1,138 @@
+"""The fit of a coach's bogie on a known track against the truth, and when it is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from bogie_case import AMPLITUDES, CLASS, runs, true_conicity
+from bogie_run import COACH, SOFT, of_bogie, single
+
+from estimation.bogie.curves import Curves, nodes
+from estimation.bogie.fit import Beforehand, BogieFit, fit_bogie
+from estimation.bogie.geometry import curve_replicates, in_bins
+from estimation.bogie.parameters import BOGIE
+from estimation.geometry.conicity import CurveEstimates, CurveParameters, curve_estimates
+from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.jobs.steps.bogie_geometry import held_by_spring
+from estimation.tables.bin_table import BinParameters
+from estimation.values.reasons import Reason, ReasonCode
+
+EDGES, RUNS = BinParameters().edges, 6
+
+
+@cache
+def _fitted(seed: int) -> BogieFit:
+    found = fit_bogie(Beforehand.of(CLASS), runs(RUNS, seed))
+    assert isinstance(found, BogieFit)
+    return found
+
+
+def _estimates(fit: BogieFit, row: int) -> CurveEstimates:
+    curve = curve_replicates(fit, row, EDGES, ParameterUncertainty.of(CLASS), 0.05e-3, RUNS)
+    return curve_estimates(curve, CurveParameters(amplitudes=tuple(AMPLITUDES)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("row", [0, 1])
+def test_conicities_of_both_wheelsets_are_within_their_intervals(row: int) -> None:
+    for found, true in zip(_estimates(_fitted(1), row).conicity, true_conicity(row), strict=True):
+        if found.value is None:
+            assert row == 1  # a trailing wheelset has not been so far out
+            continue
+        assert found.low is not None
+        assert found.high is not None
+        assert found.low <= true <= found.high
+        assert abs(found.value - true) < 0.02
+        assert found.high - found.low < 0.08  # a wheelset alone has 0.15
+
+
+@pytest.mark.slow
+def test_springs_and_friction_are_found() -> None:
+    fit = _fitted(1)
+    ratio, std = fit.stiffness_ratio
+    assert abs(ratio - 1.0) < 3 * std < 0.15
+    assert fit.inverse_friction[0] < 1.0  # of linear creep: 3.3 are expected beforehand
+    assert fit.likeness.min() > 0.97
+
+
+@pytest.mark.slow
+def test_a_spring_that_is_not_as_on_file_is_found() -> None:
+    stiffer = replace(CLASS.parameters, yaw_stiffness=1.1 * COACH)
+    found = fit_bogie(Beforehand.of(replace(CLASS, parameters=stiffer)), runs(RUNS, 1))
+    assert isinstance(found, BogieFit)
+    assert found.stiffness_ratio[0] == pytest.approx(_fitted(1).stiffness_ratio[0] / 1.1, abs=0.03)
+
+
+def test_few_runs_are_refused() -> None:
+    few = fit_bogie(Beforehand.of(CLASS), runs(BOGIE.fewest_groups, 1)[: BOGIE.fewest_groups - 1])
+    assert isinstance(few, Reason)
+    assert few.code is ReasonCode.TOO_FEW_BLOCKS
+
+
+def test_runs_over_another_track_are_refused_with_their_cause() -> None:
+    found = fit_bogie(Beforehand.of(CLASS), runs(BOGIE.fewest_groups, 1, mirrored=True))
+    assert isinstance(found, Reason)
+    assert found.code is ReasonCode.MOTION_UNEXPLAINED
+
+
+def test_bogies_whose_spring_carries_most_of_the_moment_are_estimated_as_one() -> None:
+    assert held_by_spring(of_bogie(COACH))
+    assert not held_by_spring(of_bogie(SOFT))
+    assert not held_by_spring(single(COACH))
+    p = CLASS.parameters
+    rolling = 2.0 * p.half_contact_distance**2 * p.longitudinal_creep_coefficient * 2.0 * np.pi / 15.0
+    assert held_by_spring(of_bogie(4.1 * rolling))  # from 0.8 of both on
+    assert not held_by_spring(of_bogie(3.9 * rolling))
+
+
+def test_curves_between_the_centres_of_bins_keep_their_values() -> None:
+    x = nodes()
+    values = 0.3 * x + 50.0 * np.abs(x - 0.4e-3) * 1e-3
+    shape = in_bins(values[None])[0]
+    value, slope, curvature = shape.T
+    middle = slice(1, -1)
+    assert np.array_equal(value, values)
+    assert np.allclose((value + slope / 2 + curvature / 4)[middle], 0.5 * (values[1:-1] + values[2:]), atol=1e-12)
+    assert np.allclose((value - slope / 2 + curvature / 4)[middle], 0.5 * (values[1:-1] + values[:-2]), atol=1e-12)
+
+
+def _fit_like(**changed: object) -> BogieFit:
+    b, u = len(nodes()), 15 + 2 * len(nodes())
+    theta = np.concatenate([np.zeros(15), Curves.straight(0.2).values.ravel()])
+    visited = np.tile(np.where(np.abs(nodes()) < 3.1e-3, 100.0, 0.0), (2, 1))
+    base = BogieFit(
+        theta, np.tile(theta, (8, 1)), np.zeros((15, u)), 1e-16 * np.eye(u), Beforehand.of(CLASS).gear, visited,
+        np.ones(2), np.zeros(2), 0.0,
+    )  # fmt: skip
+    assert b == visited.shape[1]
+    return replace(base, **changed)
+
+
+def test_a_node_that_was_hardly_run_at_is_not_published() -> None:
+    least = BOGIE.least_visited
+    visited = np.tile(np.where(np.abs(nodes()) < 3.1e-3, 100.0, 0.0), (2, 1))
+    visited[0, np.abs(nodes()) > 2.1e-3] = 0.999 * 40.0
+    curve = curve_replicates(_fit_like(visited=visited), 0, EDGES, ParameterUncertainty(), 0.0, 8)
+    assert least == 40.0
+    assert curve.usable.sum() == np.count_nonzero(np.abs(nodes()) < 2.1e-3)
+
+
+def test_what_is_simulated_of_the_displacement_widens_and_stretches() -> None:
+    plain, open_too = (
+        curve_replicates(_fit_like(open_std=np.full(2, std)), 0, EDGES, ParameterUncertainty(), 0.0, 8)
+        for std in (0.0, 0.3e-3)
+    )
+    assert plain.error.excess == 0.0
+    assert open_too.error.excess > 0.02
+    assert open_too.error.std == pytest.approx(0.3e-3)
+    still = curve_replicates(_fit_like(), 0, EDGES, ParameterUncertainty(), 0.3e-3, 8)
+    assert still.error.excess == 0.0  # the noise of sensors does not
+
+
+def test_what_is_known_beforehand_is_that_of_the_class() -> None:
+    known = dict(zip(("k", "ky", "friction"), Beforehand.of(CLASS).stds, strict=False))
+    assert known == {"k": CLASS.std_of("yaw_stiffness"), "ky": CLASS.std_of("lateral_stiffness"), "friction": 1.2}
+    assert Beforehand.of(CLASS).gear.inverse_friction == 3.3
