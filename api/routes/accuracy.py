@@ -322,17 +322,15 @@ def _accuracy(accuracy: FleetAccuracy, placed: Placed, on_file: int, links: Mapp
 
 def table(rows: Sequence[MeasurementRow]) -> tuple[Sequence[str], list[Sequence[object]]]:
     """Return the measurements as a header and rows."""
-    header = ["wheelset", "measured_at", "mileage_km", "vehicle_class", "track_sections", "outcome", "independent"]
-    header += ["measured_1", "measured_std_1", "estimated_1", "estimated_low_1", "estimated_high_1", "z_1"]
-    header.append("reason_code")
-    return header, [
+    columns = "wheelset measured_at mileage_km vehicle_class track_sections outcome independent measured_1"
+    columns += " measured_std_1 estimated_1 estimated_low_1 estimated_high_1 z_1 reason_code"
+    return columns.split(), [
         (
             *(row.wheelset, row.measured_at, row.mileage_km, row.vehicle_class, " ".join(row.track_sections)),
             *(row.outcome.value, None if row.independent is None else str(row.independent).lower()),
             *(row.measured_1.value, row.measured_1.std, row.estimated_1.value),
             *(row.estimated_1.interval_95 or (None, None)),
-            row.z_1,
-            None if row.reason_code is None else row.reason_code.value,
+            *(row.z_1, None if row.reason_code is None else row.reason_code.value),
         )
         for row in rows
     ]

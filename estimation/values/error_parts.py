@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -56,14 +56,14 @@ _COMMON = {
 
 
 @dataclass(frozen=True, slots=True)
-class VaryingShares:
+class VaryingParameters:
     """Of the std of a part, how much differs from interval to interval."""
 
     sampling: float = 1.0
     friction: float = 0.5  # it is as the weather of a day
 
 
-VARYING = VaryingShares()
+VARYING = VaryingParameters()
 
 
 def error_effects(sources: Sequence[ErrorSource], effects: FloatArray) -> tuple[tuple[ErrorSource, ...], FloatArray]:
@@ -80,7 +80,10 @@ def error_effects(sources: Sequence[ErrorSource], effects: FloatArray) -> tuple[
     return each_once, together
 
 
-def varying_std(sources: Sequence[ErrorSource], effects: FloatArray) -> float:
-    """Return the std of what differs from interval to interval, of the effects (p,) at one amplitude."""
+def varying_stds(sources: Sequence[ErrorSource], amplitude: FloatArray, effects: FloatArray) -> Mapping[float, float]:
+    """Return by amplitude (n,), m, the std of what differs from interval to interval, of effects (p, n)."""
+    if not sources:
+        return {}
     shares = {CommonTo.NOTHING: VARYING.sampling, CommonTo.WEATHER: VARYING.friction}
-    return float(np.linalg.norm([shares.get(source.common_to, 0.0) for source in sources] * effects))
+    varying = np.array([shares.get(source.common_to, 0.0) for source in sources])
+    return dict(zip(amplitude.tolist(), np.linalg.norm(varying[:, None] * effects, axis=0).tolist(), strict=True))

@@ -11,7 +11,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, bin_centres, freeze
-from estimation.values.error_parts import ErrorSource, varying_std
+from estimation.values.error_parts import ErrorSource, varying_stds
 from estimation.values.fields import JsonValue, Served, in_mm
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason
@@ -327,19 +327,13 @@ def known_conicities(geometry: WheelsetGeometry) -> tuple[KnownConicity, ...]:
     pairs = list(zip(geometry.amplitude.tolist(), geometry.conicity, strict=True))
     if np.isfinite(geometry.reported_amplitude):
         pairs.append((geometry.reported_amplitude, geometry.equivalent_conicity))
+    noise = varying_stds(geometry.error_sources, geometry.amplitude, geometry.error_effects)
     known = [
-        KnownConicity(amplitude, estimate.value, estimate.std, _noise(geometry, amplitude, estimate.std))
+        KnownConicity(amplitude, estimate.value, estimate.std, min(noise.get(amplitude, math.inf), estimate.std))
         for amplitude, estimate in pairs
         if estimate.status is Status.ESTIMATED and estimate.value is not None and estimate.std is not None
     ]
     return tuple(sorted(known, key=lambda one: one.amplitude))
-
-
-def _noise(geometry: WheelsetGeometry, amplitude: float, std: float) -> float:
-    if not geometry.error_sources:
-        return std
-    place = int(np.argmin(np.abs(geometry.amplitude - amplitude)))
-    return min(varying_std(geometry.error_sources, geometry.error_effects[:, place]), std)
 
 
 def why_no_conicity(geometry: WheelsetGeometry) -> Reason | None:

@@ -1,4 +1,4 @@
-"""Simulated wear: points are about what is true, and a fitter that knows nothing is told from a good one."""
+"""Simulated wear: points are about what is true, and a fitter that knows nothing does worse than a good one."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from smooth_wheelset import ideal, run
 from estimation.geometry.estimate import YAW_SOURCES, GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.tables.bin_table import BinParameters, tabulate
-from estimation.values.error_parts import VARYING, CommonTo, ErrorSource, error_effects, varying_std
+from estimation.values.error_parts import VARYING, CommonTo, ErrorSource, error_effects, varying_stds
 from estimation.values.geometry import WheelsetGeometry, known_conicities
 from estimation.values.quantities import parts_of
 from estimation.vehicle.regressors import YAW_TARGETS
@@ -88,7 +88,7 @@ def test_who_errs_alike() -> None:
     assert ErrorSource.JUMP_PLACE.common_to is CommonTo.WHEELSET
     assert (VARYING.sampling, VARYING.friction) == (1.0, 0.5)
     every = tuple(ErrorSource)
-    assert varying_std(every, np.ones(len(every))) == pytest.approx(np.hypot(1.0, 0.5))
+    assert varying_stds(every, np.array([3e-3]), np.ones((len(every), 1))) == {3e-3: pytest.approx(np.hypot(1.0, 0.5))}
 
 
 def test_each_target_of_the_yaw_equation_has_its_source() -> None:
