@@ -64,7 +64,11 @@ def _likeliest(
     information: FloatArray, moment: FloatArray, evidence: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
     """Return information, moment and evidence of the knee, or of none, that is likeliest at its own best wear."""
-    best = evidence + 0.5 * np.einsum("ni,ni->n", moment, np.linalg.solve(information, moment[..., None])[..., 0])
+    # two points do not tell a rate from its change: the direction that they do not show is left out
+    size = np.sqrt(np.maximum(np.einsum("nii->ni", information), np.finfo(np.float64).tiny))
+    scaled, pull = information / (size[:, :, None] * size[:, None, :]), moment / size
+    inverse = np.linalg.pinv(scaled, CURVES.smallest_eigenvalue, hermitian=True)
+    best = evidence + 0.5 * np.einsum("ni,nij,nj->n", pull, inverse, pull)
     return information[at := int(np.argmax(best))], moment[at], float(evidence[at])
 
 

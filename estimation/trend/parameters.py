@@ -45,6 +45,7 @@ class CurveParameters:
     scatter_scale: float = 0.6  # half-Cauchy scale of tau, in median standard deviations
     wandering_share: float = 0.3  # of the bend's standard deviation
     least_std_share: float = 1e-3  # of the median std: a better point cannot make the others count for nothing
+    smallest_eigenvalue: float = 1e-10  # of a unit diagonal; below it a direction is not in the points
     diagonal_jitter: float = 1e-13  # on a unit diagonal: of the order of the rounding of the sums
     fit_rounds: int = 25
     probability_margin: float = 1e-9  # far more than rounding: what comes as near is computed again by itself

@@ -241,3 +241,13 @@ def test_a_wheelset_that_reaches_3_mm_says_what_was_extrapolated_wrongly() -> No
     assert shown[-1].error == pytest.approx(0.02)
     assert shown[-1].std == pytest.approx(alone.spread)
     assert beyond_reached([interval(number, CURVE) for number in range(5)]) == ()
+
+
+@pytest.mark.parametrize("points", [2, 3])
+def test_few_points_say_how_fast_and_not_whether_it_changes(points: int) -> None:
+    x = np.linspace(0.0, 9000.0, points)
+    own = own_wear(x, 0.2 + 3e-7 * x, np.full(points, 1e-3))
+    assert np.isfinite(own.information).all()
+    assert np.isfinite(own.moment).all()
+    assert np.isfinite(own.evidence).all()
+    assert all(np.isfinite(component.rate) for prior in fleet_priors([own] * 3) for component in prior.components)
