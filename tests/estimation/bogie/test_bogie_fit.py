@@ -14,6 +14,7 @@ from estimation.bogie.curves import Curves, nodes
 from estimation.bogie.fit import Beforehand, BogieFit, fit_bogie
 from estimation.bogie.geometry import curve_replicates, in_bins
 from estimation.bogie.parameters import BOGIE
+from estimation.bogie.signals import followed, placed
 from estimation.geometry.conicity import CurveEstimates, CurveParameters, curve_estimates
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.steps.bogie_geometry import held_by_spring
@@ -64,6 +65,40 @@ def test_a_spring_that_is_not_as_on_file_is_found() -> None:
     found = fit_bogie(Beforehand.of(replace(CLASS, parameters=stiffer)), runs(RUNS, 1))
     assert isinstance(found, BogieFit)
     assert found.stiffness_ratio[0] == pytest.approx(_fitted(1).stiffness_ratio[0] / 1.1, abs=0.03)
+
+
+@pytest.mark.slow
+def test_runs_are_placed_where_they_were() -> None:
+    moved = [(group, placed(run, 0.2)) for group, run in runs(RUNS, 1)]
+    found = fit_bogie(Beforehand.of(CLASS), moved)
+    assert isinstance(found, BogieFit)
+    for row in range(2):
+        ours, right = (_estimates(fit, row).conicity[0].value for fit in (found, _fitted(1)))
+        assert ours == pytest.approx(right, abs=0.006)
+    assert found.stiffness_ratio[0] == pytest.approx(_fitted(1).stiffness_ratio[0], abs=0.03)
+
+
+def test_how_far_a_run_is_off_is_seen_in_the_motion_of_the_wheelsets() -> None:
+    ((_, run),) = runs(1, 1, noise=0.0)
+    x, way = np.stack([run.relative, run.relative])[0], run.run
+    behind = np.stack([np.interp(way - 0.1, way, row) for row in run.lateral[0]])
+    assert followed(run, x, behind).shift == pytest.approx(0.1, rel=0.02)
+    back = placed(placed(run, 0.1), -0.1)
+    assert np.allclose(back.ahead[:, 500:-500], run.ahead[:, 500:-500], atol=2e-5)
+    further = placed(run, 0.1)
+    assert np.allclose(further.relative, run.relative - (further.track - run.track), atol=1e-12)
+
+
+def test_what_is_found_of_friction_is_doubted() -> None:
+    fit = _fit_like(by_parameter=_friction_alone(1.0))
+    assert fit.inverse_friction[1] == pytest.approx(1.0, rel=0.01)
+    assert BOGIE.friction_doubt == 1.0
+
+
+def _friction_alone(std: float) -> np.ndarray:
+    found = np.zeros((15, 15 + 2 * len(nodes())))
+    found[2, 2] = std
+    return found
 
 
 def test_few_runs_are_refused() -> None:
