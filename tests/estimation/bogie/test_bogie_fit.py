@@ -11,10 +11,12 @@ from bogie_case import AMPLITUDES, CLASS, runs, true_conicity
 from bogie_run import COACH, SOFT, of_bogie, single
 
 from estimation.bogie.curves import Curves, nodes
+from estimation.bogie.equations import PARAMETERS
 from estimation.bogie.fit import Beforehand, BogieFit, fit_bogie
 from estimation.bogie.geometry import curve_replicates, in_bins
 from estimation.bogie.parameters import BOGIE
 from estimation.bogie.signals import followed, placed
+from estimation.bogie.sums import UNKNOWNS
 from estimation.geometry.conicity import CurveEstimates, CurveParameters, curve_estimates
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.steps.bogie_geometry import held_by_spring
@@ -78,6 +80,13 @@ def test_runs_are_placed_where_they_were() -> None:
     assert found.stiffness_ratio[0] == pytest.approx(_fitted(1).stiffness_ratio[0], abs=0.03)
 
 
+def test_what_positions_leave_open_together_is_known_to_a_tenth_of_a_metre() -> None:
+    stds = Beforehand.of(CLASS).stds
+    assert stds[PARAMETERS.index("shift")] == 0.1
+    slope = Curves.straight(0.2).slope(np.array([[-1e-3, 2e-3], [0.1e-3, 20e-3]]))
+    assert np.allclose(slope, 0.4)
+
+
 def test_how_far_a_run_is_off_is_seen_in_the_motion_of_the_wheelsets() -> None:
     ((_, run),) = runs(1, 1, noise=0.0)
     x, way = np.stack([run.relative, run.relative])[0], run.run
@@ -96,7 +105,7 @@ def test_what_is_found_of_friction_is_doubted() -> None:
 
 
 def _friction_alone(std: float) -> np.ndarray:
-    found = np.zeros((15, 15 + 2 * len(nodes())))
+    found = np.zeros((UNKNOWNS, UNKNOWNS + 2 * len(nodes())))
     found[2, 2] = std
     return found
 
@@ -135,11 +144,11 @@ def test_curves_between_the_centres_of_bins_keep_their_values() -> None:
 
 
 def _fit_like(**changed: object) -> BogieFit:
-    b, u = len(nodes()), 15 + 2 * len(nodes())
-    theta = np.concatenate([np.zeros(15), Curves.straight(0.2).values.ravel()])
+    b, u = len(nodes()), UNKNOWNS + 2 * len(nodes())
+    theta = np.concatenate([np.zeros(UNKNOWNS), Curves.straight(0.2).values.ravel()])
     visited = np.tile(np.where(np.abs(nodes()) < 3.1e-3, 100.0, 0.0), (2, 1))
     base = BogieFit(
-        theta, np.tile(theta, (8, 1)), np.zeros((15, u)), 1e-16 * np.eye(u), Beforehand.of(CLASS).gear, visited,
+        theta, np.tile(theta, (8, 1)), np.zeros((UNKNOWNS, u)), 1e-16 * np.eye(u), Beforehand.of(CLASS).gear, visited,
         np.ones(2), np.zeros(2), 0.0,
     )  # fmt: skip
     assert b == visited.shape[1]
