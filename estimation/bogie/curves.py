@@ -29,6 +29,12 @@ class Curves(FrozenArrays):
         """Return those of one conicity."""
         return cls(np.tile(2.0 * conicity * nodes(), (2, 1)))
 
+    def slope(self, x: FloatArray) -> FloatArray:
+        """Return the slopes (2, n) at displacements (2, n), m."""
+        steps = np.diff(self.values, axis=1) / BOGIE.node_step
+        piece = np.clip(((x - nodes()[0]) / BOGIE.node_step).astype(np.int64), 0, steps.shape[1] - 1)
+        return np.take_along_axis(steps, piece, axis=1)
+
 
 @compiled(nogil=True)
 def look_up(values: FloatArray, x0: float, per_x: float, x: float) -> tuple[float, float]:

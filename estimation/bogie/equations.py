@@ -36,6 +36,7 @@ PARAMETERS = (
     "lateral_scale_rear",
     "yaw_angle_front",  # of the yaw sensors about the lateral axis, rad
     "yaw_angle_rear",
+    "shift",  # m, by which the bogie is further along the track than it is taken to be
 )
 
 

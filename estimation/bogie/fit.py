@@ -47,6 +47,7 @@ class Beforehand(FrozenArrays):
             "yaw_inertia": of_class("yaw_inertia"),
             "frame_inertia": of_class("frame_yaw_inertia"),
             "spin_creep": of_class("lateral_spin_creep_coefficient"),
+            "shift": BOGIE.shift_std,
             "frame_scale": both,
             "frame_difference": both,
         }

@@ -19,6 +19,7 @@ _BY_NAME = {
     "friction": ErrorSource.FRICTION,
     "creep": ErrorSource.CREEP,
     "inertia": ErrorSource.INERTIA,
+    "shift": ErrorSource.ALIGNMENT,
     "_": ErrorSource.SENSORS,
 }
 

@@ -20,6 +20,7 @@ class BogieFitParameters:
     placed_from: int = 2  # round from which runs are placed where the simulation follows best
     most_shift: float = 0.5  # m, in a round
     least_slope: float = 1e-12  # sum of squares of the slope of y, so that a bogie that stands still is where it is
+    shift_std: float = 0.1  # m, of where all runs are together: what is not in the model delays the simulation
     # curves
     node_step: float = 0.25e-3  # m
     reach: float = 7.0e-3  # m

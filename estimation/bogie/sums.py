@@ -81,14 +81,15 @@ def _transformed(rows: FloatArray, starts: Sequence[int]) -> ComplexArray:
 def spectra(gear: Gear, curves: Curves, run: BogieRun, group: int) -> Spectra | None:
     """Return the columns of a run that is long enough; None where the bogie derails on these curves."""
     order = [1, 0] if run.swapped else [0, 1]
-    moved = simulate(gear, Curves(curves.values[order]), run)
+    own = Curves(curves.values[order])
+    moved = simulate(gear, own, run)
     if moved is None:
         return None
     cell = run.run / BOGIE.grid_step
     starts = _starts(int(cell[-1]))
     mixed = mixed_displacement(run, moved.relative)
-    measured, visited = _columns(gear, run, moved, mixed, cell, measured=True)
-    simulated, _ = _columns(gear, run, moved, moved.relative, cell, measured=False)
+    measured, visited = _columns(gear, own, run, moved, mixed, cell, measured=True)
+    simulated, _ = _columns(gear, own, run, moved, moved.relative, cell, measured=False)
     b = visited.shape[1]
     place = unknowns_by_axle(b) if run.swapped else np.arange(UNKNOWNS + 2 * b)
     known_first = np.concatenate([[0], 1 + place])
@@ -114,10 +115,13 @@ def unknowns_by_axle(b: int) -> IntArray:
 
 
 def _columns(
-    gear: Gear, run: BogieRun, moved: Simulated, x: FloatArray, cell: FloatArray, *, measured: bool
+    gear: Gear, curves: Curves, run: BogieRun, moved: Simulated, x: FloatArray, cell: FloatArray, *, measured: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Return the columns (3 (1 + p) + 2 b, cells) as means over cells, and how far it ran at each node (2, b), m."""
     columns = terms(gear, run if measured else moved, moved, run.speed)
+    columns[:2, 1 + PARAMETERS.index("shift")] = (
+        -run.stretch * curves.slope(x) * np.gradient(run.track, run.run, axis=1)
+    )
     places, size = nodes(), int(cell[-1])
     flat = np.ascontiguousarray(columns.reshape(-1, columns.shape[-1]))
     means = np.zeros((len(flat) + 2 * len(places), size))

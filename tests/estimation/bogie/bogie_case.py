@@ -88,6 +88,7 @@ def _run(
         frame_lateral=above[:2].mean(axis=1),
         frame_yaw=(above[:, 0] - above[:, 1]) / WHEELBASE,
         relative=np.stack(relative),
+        stretch=1.0,
         swapped=False,
         ahead=np.stack(ahead),
     )

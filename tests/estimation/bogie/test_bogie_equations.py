@@ -14,7 +14,7 @@ from estimation.bogie.signals import Followed
 from estimation.bogie.sums import UNKNOWNS, Spectra, error_spectrum, normal, spectra, unknowns_by_axle
 
 B = len(nodes())
-FOLLOWED = Followed(np.ones(2), np.zeros(2))
+FOLLOWED = Followed(np.ones(2), np.zeros(2), 0.0)
 
 
 def _drawn(seed: int, unknowns: int = 5, segments: int = 3, m: int = 40) -> Spectra:

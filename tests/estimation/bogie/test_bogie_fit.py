@@ -11,9 +11,12 @@ from bogie_case import AMPLITUDES, CLASS, runs, true_conicity
 from bogie_run import COACH, SOFT, of_bogie, single
 
 from estimation.bogie.curves import Curves, nodes
+from estimation.bogie.equations import PARAMETERS
 from estimation.bogie.fit import Beforehand, BogieFit, fit_bogie
 from estimation.bogie.geometry import curve_replicates, in_bins
 from estimation.bogie.parameters import BOGIE
+from estimation.bogie.signals import followed, placed
+from estimation.bogie.sums import UNKNOWNS
 from estimation.geometry.conicity import CurveEstimates, CurveParameters, curve_estimates
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.steps.bogie_geometry import held_by_spring
@@ -66,6 +69,47 @@ def test_a_spring_that_is_not_as_on_file_is_found() -> None:
     assert found.stiffness_ratio[0] == pytest.approx(_fitted(1).stiffness_ratio[0] / 1.1, abs=0.03)
 
 
+@pytest.mark.slow
+def test_runs_are_placed_where_they_were() -> None:
+    moved = [(group, placed(run, 0.2)) for group, run in runs(RUNS, 1)]
+    found = fit_bogie(Beforehand.of(CLASS), moved)
+    assert isinstance(found, BogieFit)
+    for row in range(2):
+        ours, right = (_estimates(fit, row).conicity[0].value for fit in (found, _fitted(1)))
+        assert ours == pytest.approx(right, abs=0.006)
+    assert found.stiffness_ratio[0] == pytest.approx(_fitted(1).stiffness_ratio[0], abs=0.03)
+
+
+def test_what_positions_leave_open_together_is_known_to_a_tenth_of_a_metre() -> None:
+    stds = Beforehand.of(CLASS).stds
+    assert stds[PARAMETERS.index("shift")] == 0.1
+    slope = Curves.straight(0.2).slope(np.array([[-1e-3, 2e-3], [0.1e-3, 20e-3]]))
+    assert np.allclose(slope, 0.4)
+
+
+def test_how_far_a_run_is_off_is_seen_in_the_motion_of_the_wheelsets() -> None:
+    ((_, run),) = runs(1, 1, noise=0.0)
+    x, way = np.stack([run.relative, run.relative])[0], run.run
+    behind = np.stack([np.interp(way - 0.1, way, row) for row in run.lateral[0]])
+    assert followed(run, x, behind).shift == pytest.approx(0.1, rel=0.02)
+    back = placed(placed(run, 0.1), -0.1)
+    assert np.allclose(back.ahead[:, 500:-500], run.ahead[:, 500:-500], atol=2e-5)
+    further = placed(run, 0.1)
+    assert np.allclose(further.relative, run.relative - (further.track - run.track), atol=1e-12)
+
+
+def test_what_is_found_of_friction_is_doubted() -> None:
+    fit = _fit_like(by_parameter=_friction_alone(1.0))
+    assert fit.inverse_friction[1] == pytest.approx(1.0, rel=0.01)
+    assert BOGIE.friction_doubt == 1.0
+
+
+def _friction_alone(std: float) -> np.ndarray:
+    found = np.zeros((UNKNOWNS, UNKNOWNS + 2 * len(nodes())))
+    found[2, 2] = std
+    return found
+
+
 def test_few_runs_are_refused() -> None:
     few = fit_bogie(Beforehand.of(CLASS), runs(BOGIE.fewest_groups, 1)[: BOGIE.fewest_groups - 1])
     assert isinstance(few, Reason)
@@ -100,11 +144,11 @@ def test_curves_between_the_centres_of_bins_keep_their_values() -> None:
 
 
 def _fit_like(**changed: object) -> BogieFit:
-    b, u = len(nodes()), 15 + 2 * len(nodes())
-    theta = np.concatenate([np.zeros(15), Curves.straight(0.2).values.ravel()])
+    b, u = len(nodes()), UNKNOWNS + 2 * len(nodes())
+    theta = np.concatenate([np.zeros(UNKNOWNS), Curves.straight(0.2).values.ravel()])
     visited = np.tile(np.where(np.abs(nodes()) < 3.1e-3, 100.0, 0.0), (2, 1))
     base = BogieFit(
-        theta, np.tile(theta, (8, 1)), np.zeros((15, u)), 1e-16 * np.eye(u), Beforehand.of(CLASS).gear, visited,
+        theta, np.tile(theta, (8, 1)), np.zeros((UNKNOWNS, u)), 1e-16 * np.eye(u), Beforehand.of(CLASS).gear, visited,
         np.ones(2), np.zeros(2), 0.0,
     )  # fmt: skip
     assert b == visited.shape[1]

@@ -36,7 +36,7 @@ def _run(seconds: float = SECONDS) -> BogieRun:
     spline, nothing = CubicSpline(of.s, of.alignment), np.zeros((3, 2, n))
     return BogieRun(
         interval_s=DT, speed=np.full(n, SPEED), lateral=nothing, yaw=nothing, roll=nothing[:2],
-        frame_lateral=nothing[0], frame_yaw=nothing[:, 0], relative=nothing[0], swapped=False,
+        frame_lateral=nothing[0], frame_yaw=nothing[:, 0], relative=nothing[0], stretch=1.0, swapped=False,
         ahead=np.stack([spline(at), spline(at - GEAR.bogie.wheelbase)]),
     )  # fmt: skip
 
