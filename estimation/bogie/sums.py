@@ -192,11 +192,14 @@ def normal(part: Spectra, covariance: ComplexArray, scale: FloatArray) -> tuple[
     """
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
     u = part.simulated.shape[2]
+    filled = np.flatnonzero(part.measured[:, :, 1:].any(axis=(0, 1, 3)) | part.simulated.any(axis=(0, 1, 3)))
+    ours, instruments = part.measured[:, :, np.append(0, 1 + filled)], part.simulated[:, :, filled]
+    products = np.zeros((len(filled), 1 + len(filled)))
+    for own, simulated, size in zip(ours, instruments, scale, strict=True):
+        white, left_factor = (
+            np.einsum("mef,fum->uem", whiten, columns).reshape(columns.shape[1], -1) for columns in (own, simulated)
+        )
+        products += (left_factor.conj() @ white.T).real / size
     left, right = np.zeros((u, u)), np.zeros(u)
-    for ours, instruments, size in zip(part.measured, part.simulated, scale, strict=True):
-        white = np.einsum("mef,fum->uem", whiten, ours).reshape(u + 1, -1)
-        simulated = np.einsum("mef,fum->uem", whiten, instruments).reshape(u, -1)
-        products = (simulated.conj() @ white.T).real / size
-        left += products[:, 1:]
-        right += products[:, 0]
+    left[np.ix_(filled, filled)], right[filled] = products[:, 1:], products[:, 0]
     return left, right
