@@ -53,7 +53,8 @@ def _by_row(cases: Sequence[Case]) -> dict[str, list[Case]]:
 
 def _intervals(axes: Axes, cases: Sequence[Case]) -> None:
     """Draw the error of every published conicity, by its half width, and where 95 of 100 should be."""
-    published = [number for case in cases for item in case["wheelsets"] for number in item["published"]]
+    compared = (number for case in cases for item in case["wheelsets"] for number in item["compared"])
+    published = [number for number in compared if number is not None]
     error, half = 1e3 * np.array([number[:2] for number in published]).T
     outside = np.abs(error) > half
     axes.fill_between([0.5, 300.0], [-0.5, -300.0], [0.5, 300.0], color=PALE, alpha=0.6, linewidth=0)
