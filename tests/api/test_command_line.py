@@ -240,7 +240,7 @@ def test_estimate_runs_every_job_in_order_and_says_what_it_did(treadwatch: Run, 
     assert done.returncode == 0, done.stderr
     places = [done.stdout.index(f" {name} ") for name in ("assemble_windows", "estimate_windows", "evaluate_alerts")]
     assert places == sorted(places)
-    assert done.stdout.count("succeeded") == 9
+    assert done.stdout.count("succeeded") == 10
     assert "there are" in refused(treadwatch("estimate", "--job", "none", data_dir=str(tmp_path)))
 
 

@@ -102,12 +102,13 @@ def test_the_catalogue_names_every_job_in_its_order(storage: Storage) -> None:
         "estimate_windows",
         "refresh_geometry",
         "refresh_adhesion",
+        "refresh_fleet",
         "refresh_trends",
         "evaluate_alerts",
         "refresh_rails",
         "refresh_signatures",
     ]
-    assert job_named("refresh_trends") is ALL_JOBS[4]
+    assert job_named("refresh_trends") is ALL_JOBS[5]
     with pytest.raises(NotFoundError, match="no job 'nothing'"):
         job_named("nothing")
     runs = run_all(context_of(storage), JobTrigger.CLI)
