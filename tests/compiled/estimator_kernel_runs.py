@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from estimation.bogie import curves, simulation
+from estimation.bogie.simulation import INPUTS, STATES
 from estimation.dampers.damper_filters import add_innovation_products
 from estimation.estimators import filter_kernels, hidden_displacement
 from estimation.estimators.block_filters import Inputs
@@ -61,4 +63,26 @@ def _dampers() -> Iterator[FloatArray]:
     yield products
 
 
-RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (_filters, _hidden, _dampers)
+def _bogies() -> Iterator[FloatArray]:
+    rng = np.random.default_rng(14)
+    n = 12
+    yield np.array([simulation.share_of_linear(0.5), simulation.share_of_linear(5.0)])
+    track, values = 1e-4 * rng.standard_normal((2, n)), 0.3 * np.tile(np.linspace(-7e-3, 7e-3, 57), (2, 1))
+    transitions, inputs = 0.9 * np.eye(STATES)[None], 1e-3 * rng.standard_normal((1, STATES, INPUTS))
+    creep = np.array([9e6, 8e6, 2e4, 0.75, 0.46, 1120.0, 1813.0, 1e4, 0.54, 500.0])
+    speed, table, out = np.full(n, 20.0), np.zeros(n, dtype=np.int64), np.zeros((STATES + 4, n))
+    for farthest in (20e-3, 1e-9):
+        through = simulation.step_through(
+            track, track, speed, table, transitions, inputs, values, -7e-3, 4e3, farthest, 0.3, creep, out
+        )
+        yield np.array([float(through)])
+    yield out
+    cell, means = np.linspace(0.0, 3.0, n), np.zeros((57, 4))
+    curves.add_hats(1e-3 * rng.standard_normal(n), -7e-3, 4e3, cell, means)
+    yield means
+    rows = np.zeros((2, 4))
+    curves.add_means(rng.standard_normal((2, n)), cell, rows)
+    yield rows
+
+
+RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (_filters, _hidden, _dampers, _bogies)
