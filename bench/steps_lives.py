@@ -87,7 +87,9 @@ def life(case: Case, seed: int) -> Life:
     drawn = rng.standard_t(TAILS, k) / np.sqrt(TAILS / (TAILS - 2.0)) if case.tails else rng.standard_normal(k)
     value = value + min(common, LEAST) * rng.uniform(-0.5, 0.5) + case.scatter * noise * drawn
     std = np.hypot(common * rng.uniform(0.95, 1.05, k), noise) / case.understated
-    records = tuple(_record(i, x[i], days[i], km / km_per_year * 365.25, value[i], std[i]) for i in range(k))
+    stds = zip(std, noise / case.understated, strict=True)
+    width = km / km_per_year * 365.25
+    records = tuple(_record(i, x[i], days[i], width, value[i], *pair) for i, pair in enumerate(stds))
     stepped = case.size != 0.0
     event_km = float(km * (case.history + 0.5 * mixed)) if stepped else None
     return Life(
@@ -132,10 +134,14 @@ def _outliers(k: int, case: Case, rng: np.random.Generator) -> FloatArray:
     return out
 
 
-def _record(number: int, x: float, days: float, width: float, value: float, std: float) -> IntervalConicities:
+def _record(
+    number: int, x: float, days: float, width: float, value: float, std: float, noise: float
+) -> IntervalConicities:
     middle = BEGIN_NS + round(days * DAY_NS)
     half = round(0.25 * width * DAY_NS)
-    known = tuple(KnownConicity(a, float(value) * (0.8 + 0.2 * a / 0.003), float(std), float(std)) for a in AMPLITUDES)
+    known = tuple(
+        KnownConicity(a, float(value) * (0.8 + 0.2 * a / 0.003), float(std), float(noise)) for a in AMPLITUDES
+    )
     return IntervalConicities(
         0, number, float(x), middle - half, middle + half, 5, f"{number:064x}", "bench", known, None
     )

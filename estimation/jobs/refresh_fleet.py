@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.refresh_trends import TrendHistory, histories, vehicles_of
-from estimation.jobs.runner import run_all
+from estimation.jobs.runner import run_counted
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.storage import UnitOfWork
 from estimation.trend.change_point import CONICITY
@@ -27,9 +28,9 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import EVERYTHING, Facet
 from estimation.values.trend import FLEET_WEAR, OWN_WEAR, FleetWear, OwnWear
 from estimation.values.units import DAY_S
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE
 
 NUMBERS = (CURVES, CONICITY, FLEET)
-AXLES_OF_BOGIE = 2
 TOO_FEW = Reason(ReasonCode.TOO_FEW_POINTS, "too few points to say anything of wear")
 
 
@@ -80,7 +81,7 @@ def load_fleet(unit: UnitOfWork, _: Sequence[str], __: JobContext) -> Mapping[st
     vehicles = vehicles_of(unit, sorted(wears))
     fleets = {wheelset.serial: wheelset.fleet for wheelset in unit.registry.wheelsets_of(sorted(wears))}
     places = {
-        serial: Place(wears[serial].amplitude, vehicle.vehicle_class, fleets[serial], 1 + (axle - 1) % AXLES_OF_BOGIE)
+        serial: Place(wears[serial].amplitude, vehicle.vehicle_class, fleets[serial], 1 + (axle - 1) % AXLES_OF_A_BOGIE)
         for serial, (vehicle, axle) in vehicles.items()
     }
     return {EVERYTHING: FleetInputs({serial: wears[serial] for serial in places}, places)}
@@ -133,15 +134,9 @@ OF_ALL = Stage(
 )
 
 
-def _run(context: JobContext) -> Mapping[str, int]:
-    counts = run_all((OF_WHEELSETS, OF_ALL), context)
-    del counts[OF_ALL.counted.looked]
-    return counts
-
-
 JOB = Job(
     name=OF_WHEELSETS.job,
     description="Learn from the wheelsets of a fleet how they wear",
     every_s=DAY_S,
-    run=_run,
+    run=partial(run_counted, (OF_WHEELSETS, OF_ALL)),
 )

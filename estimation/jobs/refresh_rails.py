@@ -11,6 +11,7 @@ import logging
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.parameters import JOBS
-from estimation.jobs.runner import run_all
+from estimation.jobs.runner import run_counted
 from estimation.jobs.settings import RailsSettings
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.assumptions import last_break
@@ -355,15 +356,9 @@ OF_ALL = Stage(
 )
 
 
-def _run(context: JobContext) -> Mapping[str, int]:
-    counts = run_all((OF_WHEELSETS, OF_ALL), context)
-    del counts[OF_ALL.counted.looked]
-    return counts
-
-
 JOB = Job(
     name=OF_WHEELSETS.job,
     description="Part what belongs to the rails of sections from what belongs to the wheels of wheelsets",
     every_s=3_600.0,
-    run=_run,
+    run=partial(run_counted, (OF_WHEELSETS, OF_ALL)),
 )

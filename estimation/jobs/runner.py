@@ -67,6 +67,11 @@ def run_all(stages: Iterable[AnyStage], context: JobContext, isolation: Isolatio
     return counts
 
 
+def run_counted(stages: Iterable[AnyStage], context: JobContext) -> Mapping[str, int]:
+    """Bring the results of stages up to date; return what was counted, without the looks at all subjects together."""
+    return {name: count for name, count in run_all(stages, context).items() if name != "looks"}
+
+
 def _is_listed(stage: AnyStage, listed: Collection[str]) -> bool:
     """Return whether a stage that works window by window has listed all of them with these settings."""
     return stage.kind is not SubjectKind.WINDOW or stage.name in listed

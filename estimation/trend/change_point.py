@@ -70,7 +70,7 @@ class StepModel:
     least_change_ratio: float = 1.0  # of a median change over the least size, below which no hypothesis is computed
 
 
-CONICITY = StepModel()
+CONICITY = StepModel(usual_noise_share=1.0)  # what is common to all points is not in their noise
 
 
 @dataclass(frozen=True, slots=True)

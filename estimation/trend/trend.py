@@ -271,7 +271,7 @@ def newest_step(records: Sequence[IntervalConicities], params: TrendParameters) 
         np.array([r.mileage_km for r, _ in having], dtype=np.float64),
         np.array([0.5 * (r.from_ns + r.to_ns) for r, _ in having], dtype=np.float64),
         np.array([conicity.value for _, conicity in having], dtype=np.float64),
-        np.maximum([conicity.std for _, conicity in having], params.smallest_std),
+        np.maximum([conicity.noise for _, conicity in having], params.smallest_std),
     )
     change = newest_change(series)
     if change is None:

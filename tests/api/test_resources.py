@@ -384,8 +384,7 @@ def test_a_section_and_a_wheelset_lead_to_what_belongs_to_rails_and_to_wheels(cl
     near, far = period["by_amplitude"]
     assert near["excess_1"]["interval_95"] == [0.0375, 0.0875]
     assert far["rail_part_1"]["reason_code"] == "amplitude_not_covered"
-    assert section["trend"]["n_periods"] == 3
-    assert (section["trend_reason"], section["trend_reason_code"]) == (None, None)
+    assert (section["trend"]["n_periods"], section["trend_reason"], section["trend_reason_code"]) == (3, None, None)
     wheels = get(client, f"/v1/wheelsets/{api_fleet.WHEELSETS[0]}/rails")
     assert wheels["reason_code"] == "measured_wheels_differ"
     methods = {one["method"]: one["equivalent_conicity_1"] for one in wheels["by_amplitude"][0]["conicities"]}

@@ -10,7 +10,6 @@ import hashlib
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -18,22 +17,23 @@ from estimation.bogie.fit import Beforehand, BogieFit, GroupedRun, fit_bogie
 from estimation.bogie.geometry import curve_replicates
 from estimation.bogie.parameters import BOGIE
 from estimation.bogie.runs import AxleWindow, bogie_runs
+from estimation.bogie.signals import BogieRun
 from estimation.errors import DamagedError, NotFoundError
 from estimation.geometry.conicity import CurveReplicates
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.parameters import JOBS, WORK
+from estimation.jobs.stage import made_from
 from estimation.jobs.steps.assumptions import Assumed, Membership
-from estimation.jobs.steps.load_window import WindowLoader, certain_stretches
+from estimation.jobs.steps.load_window import Stretches, WindowLoader, correction_of, low_adhesion
 from estimation.jobs.steps.rolling import Part, members
 from estimation.motion.checks import away_from_low_adhesion
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import BinParameters
 from estimation.values.fields import JsonValue
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.registry import Mounting
 from estimation.values.roll_up import Member
-from estimation.values.track import AlignmentSource, Correction
-from estimation.values.windows import Window, WindowRecord
+from estimation.values.track import AlignmentSource, Correction, TrackAlignment, TrackLayout
+from estimation.values.windows import Window, WindowKey, WindowRecord
 from estimation.vehicle.vehicle_class import VehicleClass, displacement_noise
 
 BOGIE_FOUND = "bogie"
@@ -85,8 +85,25 @@ def bogie_of(unit: UnitOfWork, rules: Membership, parts: Sequence[Part], assumed
     return BogieWindows(unit).fitted(sorted(windows, key=lambda member: member.start_ns), assumed)
 
 
-_Key = tuple[str, ...]
-_FITS: OrderedDict[_Key, tuple[BogieFit | Reason, float]] = OrderedDict()  # the other wheelset asks for the same
+# by the digest of all that they are made from: the other wheelset asks for the same
+_FITS: OrderedDict[str, tuple[BogieFit | Reason, float]] = OrderedDict()
+
+
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """The windows of both axles of a bogie at one time, and what they are read with."""
+
+    records: tuple[WindowRecord, WindowRecord]  # by axle
+    corrections: tuple[Correction | None, ...]
+    low: Stretches  # of low friction
+    on_track: str  # digest of the next two
+    track: TrackAlignment
+    layout: TrackLayout | None
+
+    @property
+    def made_from(self) -> tuple[object, ...]:
+        """All that a fit is made from."""
+        return *(record.content_digest for record in self.records), self.corrections, self.low, self.on_track
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,24 +121,17 @@ class BogieWindows:
         chosen = self._chosen(members)
         if not chosen:
             return None
-        axle = (chosen[-1].window.record.axle - 1) % 2
-        pairs = [(member, self._other(member.window.record)) for member in chosen]
-        keys = sorted(
-            f"{member.start_ns} {sorted([member.window.record.content_digest, other.content_digest])}"
-            f" {member.window.track_version}"
-            for member, other in pairs
-            if other is not None
-        )
-        key = (assumed.digest, *keys)
+        vehicle_class = assumed.window_parameters.vehicle_class
+        pairs = list(self._pairs(chosen, vehicle_class))
+        key = made_from(assumed.digest, [pair.made_from for pair in pairs])
         if key not in _FITS:
-            runs, speed = self._runs([pair for pair in pairs if pair[1] is not None], assumed)
-            vehicle_class = assumed.window_parameters.vehicle_class
+            runs, speed = self._runs(pairs, assumed)
             noise = displacement_noise(vehicle_class, BOGIE.carried_wave, np.array([speed]))
             _FITS[key] = fit_bogie(Beforehand.of(vehicle_class), runs), float(np.sqrt(noise[0]))
             if len(_FITS) > WORK.fits_in_memory:
                 _FITS.popitem(last=False)
         fit, std = _FITS[key]
-        return FittedBogie(fit, axle, len(keys), std)
+        return FittedBogie(fit, (chosen[-1].window.record.axle - 1) % 2, len(pairs), std)
 
     def _chosen(self, members: Sequence[Member]) -> list[Member]:
         """Return the windows that stand for all: on the vehicle of the newest, on a recorded alignment."""
@@ -134,61 +144,58 @@ class BogieWindows:
         return sorted(by_chance[: JOBS.bogie_windows], key=lambda m: m.start_ns)
 
     def _recorded(self, member: Member) -> bool:
-        record, version = member.window.record, member.window.track_version
-        if record.track_section is None or version is None:
-            return False
-        track = self.unit.tracks.alignment(record.track_section, version)
+        track = self._alignment(member)
         return track is not None and track.source is AlignmentSource.RECORDED
 
-    def _mounting(self, record: WindowRecord, axle: int) -> Mounting | None:
-        return self.unit.registry.mounting_at(record.vehicle, axle, record.start_ns)
+    def _alignment(self, member: Member) -> TrackAlignment | None:
+        section, version = member.window.record.track_section, member.window.track_version
+        return None if section is None or version is None else self.unit.tracks.alignment(section, version)
 
-    def _other(self, record: WindowRecord) -> WindowRecord | None:
-        """Return the window on the other axle of the bogie."""
-        mounting = self._mounting(record, record.axle + 1 if record.axle % 2 else record.axle - 1)
-        return None if mounting is None else self.unit.windows.get(mounting.wheelset, record.start_ns)
+    def _pairs(self, chosen: Sequence[Member], vehicle_class: VehicleClass) -> Iterator[_Pair]:
+        """Yield the windows of both axles; those without one on the other axle are left out."""
+        own = [member.window.record for member in chosen]
+        partners = {record.key: self._partner_key(record, vehicle_class) for record in own}
+        others = {record.key: record for record in self.unit.windows.several([key for key in partners.values() if key])}
+        positions = self.unit.tracks.positions([*partners, *others])
+        low, on_tracks = low_adhesion(self.unit, own), dict[int, str]()
+        for member, record in zip(chosen, own, strict=True):
+            other, track = others.get(partners[record.key] or record.key), self._alignment(member)
+            if other is None or track is None:
+                continue
+            layout = self.unit.tracks.layout(track.section)
+            if id(track) not in on_tracks:  # the transaction reads each once
+                on_tracks[id(track)] = made_from(track, layout)
+            first, second = sorted([record, other], key=lambda record: record.axle)
+            corrections = tuple(correction_of(record, positions.get(record.key)) for record in (first, second))
+            yield _Pair((first, second), corrections, low.get(record.key, ()), on_tracks[id(track)], track, layout)
 
-    def _runs(self, pairs: Sequence[tuple[Member, Any]], assumed: Assumed) -> tuple[list[GroupedRun], float]:
+    def _partner_key(self, record: WindowRecord, vehicle_class: VehicleClass) -> WindowKey | None:
+        axle = vehicle_class.partner(record.axle)
+        mounting = None if axle is None else self.unit.registry.mounting_at(record.vehicle, axle, record.start_ns)
+        return None if mounting is None else (mounting.wheelset, record.start_ns)
+
+    def _runs(self, pairs: Sequence[_Pair], assumed: Assumed) -> tuple[list[GroupedRun], float]:
         runs: list[GroupedRun] = []
-        speeds = []
-        for number, (member, other) in enumerate(pairs):
+        for number, pair in enumerate(pairs):
             group = number * BOGIE.groups // max(len(pairs), BOGIE.groups)
-            for run in self._runs_of(member, other, assumed):
-                runs.append((group, run))
-                speeds.append(float(run.speed.mean()))
+            runs += [(group, run) for run in self._runs_of(pair, assumed)]
+        speeds = [float(run.speed.mean()) for _, run in runs]
         return runs, float(np.mean(speeds)) if speeds else BOGIE.usual_speed
 
-    def _runs_of(self, member: Member, other: WindowRecord, assumed: Assumed) -> Iterator[Any]:
-        own = member.window.record
-        records = sorted([own, other], key=lambda record: record.axle)
-        section = own.track_section
-        assert section is not None
-        track, layout = (
-            self.unit.tracks.alignment(section, member.window.track_version),
-            self.unit.tracks.layout(section),
-        )
-        low = certain_stretches(self.unit, section, [own.start_ns])[own.start_ns]
+    def _runs_of(self, pair: _Pair, assumed: Assumed) -> Iterator[BogieRun]:
         axles = []
-        for record in records:
-            window, correction = self._loaded(record, assumed), self._correction(record)
-            kept = window if isinstance(window, Reason) else away_from_low_adhesion(window, low, correction)
+        for record, correction in zip(pair.records, pair.corrections, strict=True):
+            window = self._loaded(record, assumed)
+            kept = window if isinstance(window, Reason) else away_from_low_adhesion(window, pair.low, correction)
             if isinstance(kept, Reason):
                 return
             axles.append(AxleWindow(kept, correction))
-        if track is None:
-            return
         swapped = axles[0].window.backwards
         leading, trailing = reversed(axles) if swapped else axles
-        yield from bogie_runs(leading, trailing, track, assumed.window_parameters, layout, swapped=swapped)
+        yield from bogie_runs(leading, trailing, pair.track, assumed.window_parameters, pair.layout, swapped=swapped)
 
     def _loaded(self, record: WindowRecord, assumed: Assumed) -> Window | Reason:
         try:
             return self._loader.load(record, assumed.window_parameters.vehicle_class)
         except (NotFoundError, DamagedError) as error:
             return Reason(ReasonCode.FILE_DAMAGED, str(error))
-
-    def _correction(self, record: WindowRecord) -> Correction | None:
-        at = self.unit.tracks.position(record.wheelset, record.start_ns)
-        if at is None or at.content_digest != record.content_digest:
-            return None
-        return Correction(at.offset_m, at.scale, at.middle_m)

@@ -180,6 +180,13 @@ def assemble_if_lost(unit: UnitOfWork, record: WindowRecord, refusal: Reason) ->
         unit.stale_spans.add(record.vehicle, record.start_ns, record.start_ns + record.length_ns, CAUSE)
 
 
+def correction_of(record: WindowRecord, at: WindowPosition | None) -> Correction | None:
+    """Return by what the position of a window is corrected; None where it was not found from these samples."""
+    if at is None or at.content_digest != record.content_digest:
+        return None
+    return Correction(at.offset_m, at.scale, at.middle_m)
+
+
 @dataclass(frozen=True, slots=True)
 class WindowInputs:
     """What a window is estimated with."""
@@ -198,10 +205,7 @@ class WindowInputs:
 
     def correction(self, record: WindowRecord) -> Correction | None:
         """Return by what the position is corrected; None where it was not found from these samples."""
-        at = self.position
-        if at is None or at.content_digest != record.content_digest:
-            return None
-        return Correction(at.offset_m, at.scale, at.middle_m)
+        return correction_of(record, self.position)
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,7 +265,7 @@ def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: 
     positions = unit.tracks.positions([record.key for record in records])
     sections = {record.track_section for record in records} - {None}
     layouts = {section: unit.tracks.layout_version(section) for section in sorted(filter(None, sections))}
-    low = _low_adhesion(unit, records)
+    low = low_adhesion(unit, records)
     classes.look_up([record.wheelset for record in records])
     assumed = {record.key: classes.assumed(record.vehicle, record.wheelset) for record in records}
     partners = {record.key: _partner_key(mountings[record.vehicle], record, assumed[record.key]) for record in records}
@@ -281,7 +285,7 @@ def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: 
     return BatchInputs(unit, known, facts, found, unit.epochs.alignment_versions(list(found)))
 
 
-def _low_adhesion(unit: UnitOfWork, records: Sequence[WindowRecord]) -> Mapping[WindowKey, Stretches]:
+def low_adhesion(unit: UnitOfWork, records: Sequence[WindowRecord]) -> Mapping[WindowKey, Stretches]:
     """Return where the sections of windows surely had little friction: one statement for each section."""
     found: dict[WindowKey, Stretches] = {}
     for section in sorted({record.track_section for record in records} - {None}, key=str):

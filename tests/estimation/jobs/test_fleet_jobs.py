@@ -12,7 +12,7 @@ from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register,
 from bench.put_values import put_geometry
 from estimation.jobs import refresh_fleet, refresh_trends
 from estimation.jobs.job import JobContext, run_job
-from estimation.jobs.refresh_fleet import AXLES_OF_BOGIE, FleetInputs, Place, together
+from estimation.jobs.refresh_fleet import FleetInputs, Place, together
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage
 from estimation.trend.fleet import own_wear
@@ -21,6 +21,7 @@ from estimation.values.quantities import Estimate
 from estimation.values.runs import JobTrigger
 from estimation.values.trend import FLEET_WEAR, FleetWear, OwnWear
 from estimation.values.units import DAY_S
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE
 
 SERIALS = ("W1", "W2", "W3", "W4")
 
@@ -94,7 +95,7 @@ def test_those_are_asked_that_are_most_alike_and_enough() -> None:
     outcome = together(FleetInputs(wears, places))
     others = {part.subject: part.value.others for part in outcome.parts if part.value is not None}
     assert FLEET.least_others == 4
-    assert AXLES_OF_BOGIE == 2
+    assert AXLES_OF_A_BOGIE == 2
     assert others == {**{f"a{n}": 4 for n in range(5)}, **{f"b{n}": 8 for n in range(4)}, "c": 9}
     elsewhere = {**places, "c": replace(places["c"], amplitude=2e-3)}
     alone = {part.subject: part.value for part in together(FleetInputs(wears, elsewhere)).parts}["c"]

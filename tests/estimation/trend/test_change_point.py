@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.trend.change_point import Series, StepModel, newest_change
+from estimation.trend.change_point import CONICITY, Series, newest_change
 from estimation.values.arrays import FloatArray
 from estimation.values.units import DAY_NS
 
-MODEL = StepModel()
+MODEL = CONICITY
 
 
-def series(value: FloatArray, *, noise: float = 0.003, seed: int = 0, km: float = 1000.0, std: float = 0.04) -> Series:
-    """Return points that are measured with noise and stated with a std that they have in common."""
+def series(value: FloatArray, *, noise: float = 0.003, seed: int = 0, km: float = 1000.0, std: float = 0.0) -> Series:
+    """Return points that are measured with noise, as stated or with another std."""
     k = len(value)
     x = km * np.arange(k, dtype=np.float64)
     measured = value + noise * np.random.default_rng(seed).standard_normal(k)
-    return Series(x, x / 120_000.0 * 365.25 * DAY_NS, measured, np.full(k, std))
+    return Series(x, x / 120_000.0 * 365.25 * DAY_NS, measured, np.full(k, std or noise))
 
 
 def wear(k: int, per_km: float = 1e-6) -> FloatArray:
@@ -121,7 +121,7 @@ def test_noise_is_not_taken_for_wear_that_hides_a_step() -> None:
     assert newest_change(series(values, noise=0.0, km=745.0, std=0.025)) is not None
 
 
-@pytest.mark.parametrize(("size", "noticed"), [(0.02, False), (0.03, False), (0.06, True)])
+@pytest.mark.parametrize(("size", "noticed"), [(0.02, False), (0.025, False), (0.06, True)])
 def test_a_step_has_to_be_larger_than_what_weather_does(size: float, noticed: bool) -> None:  # noqa: FBT001
     found = [newest_change(series(stepped(40, 12, size), seed=seed, noise=0.002)) for seed in range(6)]
     assert [one is not None for one in found] == [noticed] * 6

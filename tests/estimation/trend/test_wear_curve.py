@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.optimize import brentq
+from wear_histories import History, histories
 
-from bench.trend import History, histories
 from estimation.trend.parameters import CURVES
 from estimation.trend.wear_curve import WearCurve, fit_wear_curve
 from estimation.trend.wear_grid import Shapes, scaled_points, solve
