@@ -13,11 +13,14 @@ f11 stays as it is on file: the equations but for the rolling term and R are hom
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from estimation.bogie.parameters import BOGIE
 from estimation.bogie.signals import BogieRun
 from estimation.bogie.simulation import Gear, Simulated, spin_force
 from estimation.values.arrays import FloatArray
+
+RealOrComplex = FloatArray | npt.NDArray[np.complex128]
 
 EQUATIONS = len(("E_1", "E_2", "E_6"))
 PARAMETERS = (
@@ -43,41 +46,50 @@ PARAMETERS = (
 Moved = BogieRun | Simulated
 """Signals of a bogie, measured or simulated."""
 
+AXLES, OF_AXLES, OF_FRAME = 2, 9, 5  # rows of :func:`moving_rows`
+ROWS = AXLES * OF_AXLES + OF_FRAME
 
-def terms(gear: Gear, moved: Moved, saturated: Simulated, speed: FloatArray) -> FloatArray:
-    """Return what is known of the equations and then their parameters' columns (3, 1 + p, n), m of R.
+
+def moving_rows(moved: Moved, speed: FloatArray, radius: float) -> FloatArray:
+    """Return what the equations are linear in (r, n): nine rows of each axle, then five of the frame."""
+    (psi, dpsi, ddpsi), (phi, dphi), (y, dy, _) = moved.yaw, moved.roll, moved.lateral
+    slip = (dy + radius * dphi) / speed - psi
+    return np.concatenate(
+        [psi, dpsi, ddpsi, phi, y, dy, dpsi / speed, speed * dphi, slip, moved.frame_yaw, moved.frame_lateral]
+    )
+
+
+def terms(gear: Gear, rows: RealOrComplex, saturated: RealOrComplex) -> RealOrComplex:
+    """Return what is known of the equations and then their parameters' columns (3, 1 + p, ...), m of R.
 
     Args:
-        saturated: The simulation that the saturation of creep is taken from.
+        rows: (r, ...) of :func:`moving_rows`, or means or transforms of them.
+        saturated: (2, 2, ...) of :func:`saturation` of both axles, alike.
     """
     p, b, g = gear.vehicle, gear.bogie, gear.per_newton_metre
-    a = 0.5 * b.wheelbase
-    (psi, dpsi, ddpsi), (phi, dphi), (y, dy, _) = moved.yaw, moved.roll, moved.lateral
-    psi_f, dpsi_f, ddpsi_f = moved.frame_yaw
-    y_f, dy_f = moved.frame_lateral
-    columns = np.zeros((EQUATIONS, 1 + len(PARAMETERS), len(speed)))
+    a, shape = 0.5 * b.wheelbase, rows.shape[1:]
+    psi, dpsi, ddpsi, phi, y, dy, rolled, gyroscopic, slip = rows[: AXLES * OF_AXLES].reshape(OF_AXLES, AXLES, *shape)
+    psi_f, dpsi_f, ddpsi_f, y_f, dy_f = rows[AXLES * OF_AXLES :]
+    columns = np.zeros((EQUATIONS, 1 + len(PARAMETERS), *shape), dtype=rows.dtype)
     place = {name: 1 + number for number, name in enumerate(PARAMETERS)}
     k, arms = p.yaw_stiffness, (a, -a)
-    moment_of_frame = np.zeros(len(speed))
+    rolling = 2 * (p.half_contact_distance**2 * p.longitudinal_creep_coefficient + p.spin_creep_coefficient)
+    frame = columns[2]
     for axle, arm in enumerate(arms):
         side = ("front", "rear")[axle]
-        turned = psi[axle] - psi_f
-        spring, damper = k * turned, p.yaw_damping * (dpsi[axle] - dpsi_f)
-        slip = dy[axle] + p.nominal_radius * dphi[axle] - speed * psi[axle]
-        inertia, spin = p.yaw_inertia * ddpsi[axle], -(2 * p.lateral_spin_creep_coefficient / speed) * slip
-        rolling = 2 * (p.half_contact_distance**2 * p.longitudinal_creep_coefficient + p.spin_creep_coefficient)
-        gyroscopic = p.pitch_inertia * speed / p.nominal_radius * dphi[axle]
-        lost, by_friction = saturation(gear, saturated, axle)
+        spring, damper = k * (psi[axle] - psi_f), p.yaw_damping * (dpsi[axle] - dpsi_f)
+        inertia, spin = p.yaw_inertia * ddpsi[axle], -2 * p.lateral_spin_creep_coefficient * slip[axle]
+        turning = p.pitch_inertia / p.nominal_radius * gyroscopic[axle]
+        lost, by_friction = saturated[axle]
         own = columns[axle]
-        own[0] = inertia + gyroscopic + spring + damper + rolling * dpsi[axle] / speed + spin + lost
+        own[place["creep"]] = inertia + turning + spring + damper + spin + lost
+        own[0] = own[place["creep"]] + rolling * rolled[axle]
         own[place["yaw_stiffness"]] = spring
         own[place["inverse_friction"]] = by_friction
-        own[place["creep"]] = inertia + gyroscopic + spring + damper + spin + lost
         own[place["yaw_inertia"]] = inertia
         own[place["spin_creep"]] = spin
-        frame = columns[2]
         frame[place["yaw_stiffness"]] -= spring
-        moment_of_frame -= spring + damper
+        frame[0] -= spring + damper
         by_scale, by_angle = k * psi[axle], k * phi[axle]
         for sign, row in ((1.0, own), (-1.0, frame)):
             row[place[f"yaw_scale_{side}"]] += sign * by_scale
@@ -86,18 +98,18 @@ def terms(gear: Gear, moved: Moved, saturated: Simulated, speed: FloatArray) -> 
             row[place["frame_difference"]] -= sign * k * y_f / a
         pressed = p.lateral_stiffness * (y_f + arm * psi_f - y[axle])
         damped = p.lateral_damping * (dy_f + arm * dpsi_f - dy[axle])
-        moment_of_frame += arm * (pressed + damped)
+        frame[0] += arm * (pressed + damped)
         frame[place["lateral_stiffness"]] += arm * pressed
         frame[place["frame_scale"]] += arm * p.lateral_stiffness * arm * psi_f
         frame[place["frame_difference"]] += arm * p.lateral_stiffness * arm * y_f / a
         frame[place[f"lateral_scale_{side}"]] -= arm * p.lateral_stiffness * y[axle]
-    columns[2, 0] = moment_of_frame + b.frame_yaw_inertia * ddpsi_f + b.secondary_yaw_stiffness * psi_f
-    columns[2, place["frame_inertia"]] = b.frame_yaw_inertia * ddpsi_f
+    frame[place["frame_inertia"]] = b.frame_yaw_inertia * ddpsi_f
+    frame[0] += frame[place["frame_inertia"]] + b.secondary_yaw_stiffness * psi_f
     return np.asarray(g * columns)
 
 
-def saturation(gear: Gear, moved: Simulated, axle: int) -> tuple[FloatArray, FloatArray]:
-    """Return what linear creep has more than the moment that creep holds up, N m, and its derivative by 1/mu.
+def saturation(gear: Gear, moved: Simulated, axle: int) -> FloatArray:
+    """Return what linear creep has more than the moment that creep holds up, N m, and its derivative by 1/mu (2, n).
 
     With f the force of a wheel over mu N its linear one is 3 (1 - (1 - f)^(1/3)) times mu N (Vermeulen and Johnson).
     """
@@ -113,4 +125,4 @@ def saturation(gear: Gear, moved: Simulated, axle: int) -> tuple[FloatArray, Flo
     more = 3.0 * (1.0 - np.cbrt(1.0 - f)) / f
     by_f = (1.0 / np.cbrt(1.0 - f) ** 2 - more) / f
     by_f = np.where(f > 1e-6, by_f, 1.0 / 3.0)  # noqa: PLR2004 - the limit, without cancellation
-    return moment * (more - 1.0), moment * by_f * force
+    return np.stack([moment * (more - 1.0), moment * by_f * force])

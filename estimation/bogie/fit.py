@@ -13,7 +13,7 @@ from estimation.bogie.equations import PARAMETERS
 from estimation.bogie.parameters import BOGIE
 from estimation.bogie.signals import BogieRun, placed
 from estimation.bogie.simulation import Gear
-from estimation.bogie.sums import UNKNOWNS, Spectra, error_spectrum, long_enough, normal, spectra
+from estimation.bogie.sums import UNKNOWNS, MeasuredRun, Spectra, error_spectrum, long_enough, normal, spectra
 from estimation.geometry.parameters import PRIORS
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import jackknife_std
@@ -134,8 +134,9 @@ def fit_bogie(known: Beforehand, runs: Sequence[GroupedRun], start: Curves | Non
     Args:
         start: Curves of an earlier fit: fewer rounds are needed from there.
     """
-    used = [(group, run) for group, run in runs if long_enough(run)]
-    if len({group for group, _ in used}) < BOGIE.fewest_groups:
+    radius = known.gear.vehicle.nominal_radius
+    used = [MeasuredRun.of(group, run, radius) for group, run in runs if long_enough(run)]
+    if len({of.group for of in used}) < BOGIE.fewest_groups:
         text = f"{len(used)} runs of {BOGIE.segment_m:g} m or more, {BOGIE.fewest_groups} are needed"
         return Reason(ReasonCode.TOO_FEW_BLOCKS, text)
     curves = start or Curves.straight(BOGIE.start_conicity)
@@ -150,9 +151,8 @@ def fit_bogie(known: Beforehand, runs: Sequence[GroupedRun], start: Curves | Non
         if not np.isfinite(found.theta).all():
             return Reason(ReasonCode.NOT_FINITE, "the equations of the bogie do not determine its curves")
         if start is not None or number >= BOGIE.placed_from:
-            used = [
-                (group, placed(run, part.followed.shift)) for (group, run), part in zip(used, state.parts, strict=True)
-            ]
+            pairs = zip(used, state.parts, strict=True)
+            used = [replace(of, run=placed(of.run, part.followed.shift)) for of, part in pairs]
         moved = _moved_on(state, found, used, 1.0 if first else BOGIE.blend)
         if moved is None:
             return _derailed()
@@ -161,10 +161,10 @@ def fit_bogie(known: Beforehand, runs: Sequence[GroupedRun], start: Curves | Non
     return _checked(found)
 
 
-def _simulated(gear: Gear, curves: Curves, runs: Sequence[GroupedRun]) -> tuple[Spectra, ...] | None:
+def _simulated(gear: Gear, curves: Curves, runs: Sequence[MeasuredRun]) -> tuple[Spectra, ...] | None:
     parts = []
-    for group, run in runs:
-        part = spectra(gear, curves, run, group)
+    for of in runs:
+        part = spectra(gear, curves, of)
         if part is None:
             return None
         parts.append(part)
@@ -228,7 +228,7 @@ def _not_below(theta: FloatArray, inverse: FloatArray, least: float) -> FloatArr
     return np.asarray(theta + inverse[:, FRICTION] / inverse[FRICTION, FRICTION] * excess)
 
 
-def _moved_on(state: _State, found: BogieFit, runs: Sequence[GroupedRun], blend: float) -> _State | None:
+def _moved_on(state: _State, found: BogieFit, runs: Sequence[MeasuredRun], blend: float) -> _State | None:
     """Return the next round's start; a change after which the bogie derails is halved. None where it still does."""
     values = found.theta[UNKNOWNS:].reshape(2, -1)
     values = values - values[:, [values.shape[1] // 2]]  # the constant is not observable

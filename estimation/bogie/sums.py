@@ -8,7 +8,8 @@ sensors: noise in what multiplies the unknowns does not shrink them. The sums of
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -16,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.bogie.curves import Curves, add_hats, add_means, nodes
-from estimation.bogie.equations import EQUATIONS, PARAMETERS, terms
+from estimation.bogie.equations import EQUATIONS, PARAMETERS, moving_rows, saturation, terms
 from estimation.bogie.parameters import BOGIE
 from estimation.bogie.signals import BogieRun, Followed, followed, mixed_displacement
-from estimation.bogie.simulation import Gear, Simulated, simulate
+from estimation.bogie.simulation import Gear, simulate
 from estimation.values.arrays import FloatArray, IntArray
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -27,14 +28,45 @@ UNKNOWNS = len(PARAMETERS)  # before those of the curves
 
 
 @dataclass(frozen=True, slots=True)
-class Spectra:
-    """Columns of the equations in the segments of a run, by wavenumber; unknowns are parameters, then both curves."""
+class Columns:
+    """Columns of the equations in the segments of a run, by wavenumber."""
 
-    measured: ComplexArray  # (s, 3, 1 + u, m); what is known of the equations comes first
-    simulated: ComplexArray  # (s, 3, u, m): instruments
+    parameters: ComplexArray  # (s, 3, p, m)
+    hats: ComplexArray  # (s, 2, b, m): a curve is in the equation of its wheelset, the leading one's first
+
+    def times(self, theta: FloatArray, axles: Sequence[int]) -> ComplexArray:
+        """Return the sum (s, 3, m) of the columns by unknowns (u,): parameters, then the curves of both axles."""
+        p = self.parameters.shape[2]
+        total = np.einsum("sepm,p->sem", self.parameters, theta[:p])
+        total[:, :2] += np.einsum("sabm,ab->sam", self.hats, theta[p:].reshape(2, -1)[list(axles)])
+        return np.asarray(total)
+
+
+@dataclass(frozen=True, slots=True)
+class Spectra:
+    """The equations of a run."""
+
+    target: ComplexArray  # (s, 3, m): what is known of them
+    measured: Columns
+    simulated: Columns  # instruments
     followed: Followed  # by axle
-    visited: FloatArray  # (2, b) m run at each node
+    visited: FloatArray  # (2, b) m run at each node, by axle
+    axles: tuple[int, int]  # leading, then trailing
     group: int  # of the jackknife
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredRun:
+    """A run with the transforms of what it measured, which stay as they are from round to round."""
+
+    run: BogieRun
+    group: int  # of the jackknife
+    rows: ComplexArray  # (r, s, m) of :func:`moving_rows`
+
+    @classmethod
+    def of(cls, group: int, run: BogieRun, radius: float) -> MeasuredRun:
+        """Return a run of wheelsets of a nominal radius, m."""
+        return cls(run, group, _transformed(_cell_means(run, moving_rows(run, run.speed, radius))))
 
 
 @lru_cache(maxsize=8)
@@ -48,11 +80,12 @@ def _cells() -> int:
 
 
 @lru_cache(maxsize=8)
-def _taper() -> tuple[FloatArray, FloatArray]:
-    """Return the taper (n,) of a segment and an orthonormal basis (k, n) of its trend."""
+def _taper() -> tuple[FloatArray, FloatArray, ComplexArray]:
+    """Return the taper (n,) of a segment, an orthonormal basis (k, n) of its trend, and its transforms (k, m)."""
     n = _cells()
     powers = np.vander(np.linspace(-1.0, 1.0, n), BOGIE.trend_order + 1, increasing=True)
-    return np.hanning(n + 2)[1:-1], np.linalg.qr(powers)[0].T
+    taper, trend = np.hanning(n + 2)[1:-1], np.linalg.qr(powers)[0].T
+    return taper, trend, np.fft.rfft(trend * taper, axis=1)[:, _band()]
 
 
 def long_enough(run: BogieRun) -> bool:
@@ -66,83 +99,85 @@ def _starts(cells: int) -> list[int]:
     return [round(at) for at in np.linspace(0, cells - n, count)]
 
 
-def _transformed(rows: FloatArray, starts: Sequence[int]) -> ComplexArray:
-    """Return the transforms (s, r, m) of segments of rows (r, n), in the band; rows of zeros cost nothing."""
-    taper, trend = _taper()
-    n, filled = len(taper), np.flatnonzero(rows.any(axis=1))
-    found = np.zeros((len(starts), len(rows), len(_band())), dtype=np.complex128)
+def _cell_means(run: BogieRun, rows: FloatArray) -> FloatArray:
+    cell = run.run / BOGIE.grid_step
+    means = np.zeros((len(rows), int(cell[-1])))
+    add_means(np.ascontiguousarray(rows), cell, means)
+    return means
+
+
+def _hat_means(run: BogieRun, x: FloatArray) -> FloatArray:
+    """Return the means (2, b, cells) of the hats at displacements (2, n)."""
+    places, cell = nodes(), run.run / BOGIE.grid_step
+    means = np.zeros((2, len(places), int(cell[-1])))
+    for axle in range(2):
+        add_hats(np.ascontiguousarray(x[axle]), float(places[0]), 1.0 / BOGIE.node_step, cell, means[axle])
+    return means
+
+
+def _transformed(means: FloatArray) -> ComplexArray:
+    """Return the transforms (..., s, m) of segments of rows (..., cells), in the band; rows of zeros cost nothing."""
+    taper, trend, of_trend = _taper()
+    n, rows, starts = len(taper), means.reshape(-1, means.shape[-1]), _starts(means.shape[-1])
+    filled = np.flatnonzero(rows.any(axis=1))
+    transforms = np.zeros((len(rows), len(starts), len(_band())), dtype=np.complex128)
     for number, start in enumerate(starts):
         part = rows[filled, start : start + n]
-        part = part - (part @ trend.T) @ trend
-        found[number, filled] = np.fft.rfft(part * taper, axis=1)[:, _band()]
-    return found
+        transforms[filled, number] = np.fft.rfft(part * taper, axis=1)[:, _band()] - (part @ trend.T) @ of_trend
+    return transforms.reshape(*means.shape[:-1], *transforms.shape[1:])
 
 
-def spectra(gear: Gear, curves: Curves, run: BogieRun, group: int) -> Spectra | None:
-    """Return the columns of a run that is long enough; None where the bogie derails on these curves."""
-    order = [1, 0] if run.swapped else [0, 1]
+def spectra(gear: Gear, curves: Curves, of: MeasuredRun) -> Spectra | None:
+    """Return the equations of a run that is long enough; None where the bogie derails on these curves."""
+    run, order = of.run, [1, 0] if of.run.swapped else [0, 1]
     own = Curves(curves.values[order])
     moved = simulate(gear, own, run)
     if moved is None:
         return None
-    cell = run.run / BOGIE.grid_step
-    starts = _starts(int(cell[-1]))
+    saturated = np.concatenate([saturation(gear, moved, axle) for axle in range(2)])
+    of_simulation = moving_rows(moved, run.speed, gear.vehicle.nominal_radius)
+    rows = _transformed(_cell_means(run, np.concatenate([of_simulation, saturated])))
+    simulated, by_saturation = rows[: len(of_simulation)], rows[len(of_simulation) :].reshape(2, 2, *rows.shape[1:])
+    _, instruments, _ = _equations(gear, own, run, simulated, by_saturation, moved.relative)
     mixed = mixed_displacement(run, moved.relative)
-    measured, visited = _columns(gear, own, run, moved, mixed, cell, measured=True)
-    simulated, _ = _columns(gear, own, run, moved, moved.relative, cell, measured=False)
-    b = visited.shape[1]
-    place = unknowns_by_axle(b) if run.swapped else np.arange(UNKNOWNS + 2 * b)
-    known_first = np.concatenate([[0], 1 + place])
+    target, measured, visited = _equations(gear, own, run, of.rows, by_saturation, mixed)
     follows = followed(run, moved.relative, moved.lateral[0])
     return Spectra(
-        _laid_out(_transformed(measured, starts))[:, :, known_first],
-        _laid_out(_transformed(simulated, starts))[:, :, 1 + place],
+        target,
+        measured,
+        instruments,
         replace(follows, likeness=follows.likeness[order], open_std=follows.open_std[order]),
         visited[order],
-        group,
+        (order[0], order[1]),
+        of.group,
     )
 
 
-def unknowns_by_axle(b: int) -> IntArray:
-    """Return where the unknowns of the axles are in those of leading and trailing, where the rear axle leads."""
-    other = {"front": "rear", "rear": "front"}
+def _equations(
+    gear: Gear, curves: Curves, run: BogieRun, rows: ComplexArray, saturated: ComplexArray, x: FloatArray
+) -> tuple[ComplexArray, Columns, FloatArray]:
+    """Return what is known (s, 3, m), the columns, and how far it ran at each node (2, b), m, leading wheelset first.
+
+    Args:
+        rows, saturated: Of :func:`terms`.
+        x: (2, n) by what the curves are looked up, m.
+    """
+    columns, hats = np.asarray(terms(gear, rows, saturated), np.complex128), _hat_means(run, x)
+    moved_on = -run.stretch * curves.slope(x) * np.gradient(run.track, run.run, axis=1)
+    columns[:2, 1 + PARAMETERS.index("shift")] = _transformed(_cell_means(run, moved_on))
+    columns = np.moveaxis(columns, 2, 0)
+    parameters = columns[:, :, 1 + parameters_by_axle(swapped=run.swapped)]
+    return columns[:, :, 0], Columns(parameters, np.moveaxis(_transformed(hats), 2, 0)), BOGIE.grid_step * hats.sum(2)
+
+
+def parameters_by_axle(*, swapped: bool) -> IntArray:
+    """Return where the parameters of the axles are in those of leading and trailing."""
+    other = {"front": "rear", "rear": "front"} if swapped else {}
     names = [
         f"{name.removesuffix(end)}{other[end]}" if (end := name.rpartition("_")[2]) in other else name
         for name in PARAMETERS
     ]
-    own = [PARAMETERS.index(name) for name in names]
-    return np.concatenate([own, UNKNOWNS + b + np.arange(b), UNKNOWNS + np.arange(b)]).astype(np.int64)
-
-
-def _columns(
-    gear: Gear, curves: Curves, run: BogieRun, moved: Simulated, x: FloatArray, cell: FloatArray, *, measured: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Return the columns (3 (1 + p) + 2 b, cells) as means over cells, and how far it ran at each node (2, b), m."""
-    columns = terms(gear, run if measured else moved, moved, run.speed)
-    columns[:2, 1 + PARAMETERS.index("shift")] = (
-        -run.stretch * curves.slope(x) * np.gradient(run.track, run.run, axis=1)
-    )
-    places, size = nodes(), int(cell[-1])
-    flat = np.ascontiguousarray(columns.reshape(-1, columns.shape[-1]))
-    means = np.zeros((len(flat) + 2 * len(places), size))
-    add_means(flat, cell, means[: len(flat)])
-    hats = means[len(flat) :].reshape(2, len(places), size)
-    for axle in range(2):
-        add_hats(np.ascontiguousarray(x[axle]), float(places[0]), 1.0 / BOGIE.node_step, cell, hats[axle])
-    return means, BOGIE.grid_step * hats.sum(axis=2)
-
-
-def _laid_out(flat: ComplexArray) -> ComplexArray:
-    """Return columns (s, 3 (1 + p) + 2 b, m) as (s, 3, 1 + p + 2 b, m): a curve is in the equation of its wheelset."""
-    s, rows, m = flat.shape
-    own = EQUATIONS * (1 + UNKNOWNS)
-    b = (rows - own) // 2
-    whole = np.zeros((s, EQUATIONS, 1 + UNKNOWNS + 2 * b, m), dtype=np.complex128)
-    whole[:, :, : 1 + UNKNOWNS] = flat[:, :own].reshape(s, EQUATIONS, 1 + UNKNOWNS, m)
-    for axle in range(2):
-        first = 1 + UNKNOWNS + axle * b
-        whole[:, axle, first : first + b] = flat[:, own + axle * b : own + (axle + 1) * b]
-    return whole
+    return np.array([PARAMETERS.index(name) for name in names], dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +190,7 @@ class ErrorSpectrum:
 
 def error_spectrum(parts: Sequence[Spectra], theta: FloatArray) -> ErrorSpectrum:
     """Return what unknowns (u,) leave of the equations."""
-    left = [part.measured[:, :, 0] + np.einsum("seum,u->sem", part.measured[:, :, 1:], theta) for part in parts]
+    left = [part.target + part.measured.times(theta, part.axles) for part in parts]
     scales = [np.ones(len(part)) for part in left]
     covariance = np.empty(0, dtype=np.complex128)
     for _ in range(BOGIE.scale_rounds):
@@ -190,16 +225,33 @@ def normal(part: Spectra, covariance: ComplexArray, scale: FloatArray) -> tuple[
 
     In units in which ``left`` is information: segments overlap by half, so that each counts for half of what it holds.
     """
-    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-    u = part.simulated.shape[2]
-    filled = np.flatnonzero(part.measured[:, :, 1:].any(axis=(0, 1, 3)) | part.simulated.any(axis=(0, 1, 3)))
-    ours, instruments = part.measured[:, :, np.append(0, 1 + filled)], part.simulated[:, :, filled]
-    products = np.zeros((len(filled), 1 + len(filled)))
-    for own, simulated, size in zip(ours, instruments, scale, strict=True):
-        white, left_factor = (
-            np.einsum("mef,fum->uem", whiten, columns).reshape(columns.shape[1], -1) for columns in (own, simulated)
-        )
-        products += (left_factor.conj() @ white.T).real / size
-    left, right = np.zeros((u, u)), np.zeros(u)
-    left[np.ix_(filled, filled)], right[filled] = products[:, 1:], products[:, 0]
+    whiten = np.ascontiguousarray(np.moveaxis(np.linalg.inv(np.linalg.cholesky(covariance)), 0, 2))  # (3, 3, m)
+    p, b = part.measured.parameters.shape[2], part.measured.hats.shape[2]
+    seen = np.asarray(part.measured.hats.any(axis=(0, 3)) | part.simulated.hats.any(axis=(0, 3)))
+    visited = [np.flatnonzero(row) for row in seen]
+    place = [p + axle * b + at for axle, at in zip(part.axles, visited, strict=True)]
+    filled = np.concatenate([np.arange(p), *place])
+    instruments = _white(part.simulated, visited, whiten, 1.0 / scale)
+    even = np.ones(len(scale))
+    ours, target = _white(part.measured, visited, whiten, even), _whitened(part.target[:, :, None], whiten, even)
+    left, right = np.zeros((p + 2 * b, p + 2 * b)), np.zeros(p + 2 * b)
+    left[np.ix_(filled, filled)] = instruments @ ours.T
+    right[filled] = instruments @ target[0]
     return left, right
+
+
+def _white(columns: Columns, visited: Iterable[IntArray], whiten: ComplexArray, weight: FloatArray) -> FloatArray:
+    """Return whitened columns as rows (u, s 3 m 2) of real and imaginary parts."""
+    rows = [_whitened(columns.parameters, whiten, weight)]
+    for equation, nodes_at in enumerate(visited):
+        hats = np.moveaxis(columns.hats[:, equation, nodes_at], 1, 0)  # in one equation only
+        rows.append(_real(hats[:, :, None] * weight[:, None, None] * whiten[:, equation]))
+    return np.concatenate(rows)
+
+
+def _whitened(columns: ComplexArray, whiten: ComplexArray, weight: FloatArray) -> FloatArray:
+    return _real(np.einsum("efm,sfum->usem", whiten, columns) * weight[:, None, None])
+
+
+def _real(white: ComplexArray) -> FloatArray:
+    return np.ascontiguousarray(white).view(np.float64).reshape(len(white), 2 * math.prod(white.shape[1:]))

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from smooth_wheelset import track
 
 from estimation.bogie.curves import Curves, nodes
-from estimation.bogie.equations import PARAMETERS, saturation, terms
+from estimation.bogie.equations import PARAMETERS, moving_rows, saturation, terms
 from estimation.bogie.signals import BogieRun
 from estimation.bogie.simulation import Gear, Simulated, simulate
 from estimation.vehicle.linear_model import LinearContact
@@ -105,8 +105,13 @@ def test_it_is_the_direct_integration_of_the_equations_of_motion() -> None:
         assert np.abs(found.yaw[0, row] - direct.y[2 * row + 1]).max() < 0.05 * direct.y[2 * row + 1].std()
 
 
+def _terms(gear: Gear, moved: Simulated, run: BogieRun) -> np.ndarray:
+    saturated = np.stack([saturation(gear, moved, axle) for axle in range(2)])
+    return terms(gear, moving_rows(moved, run.speed, gear.vehicle.nominal_radius), saturated)
+
+
 def _residual(gear: Gear, moved: Simulated, run: BogieRun) -> tuple[np.ndarray, np.ndarray]:
-    own = terms(gear, moved, moved, run.speed)[:, 0]
+    own = _terms(gear, moved, run)[:, 0]
     R = np.stack([np.interp(moved.relative[row], nodes(), CURVES.values[row]) for row in range(2)])
     return (own + np.concatenate([R, np.zeros((1, len(run)))]))[:, 100:-100], R[:, 100:-100]
 
@@ -145,8 +150,8 @@ def test_columns_are_derivatives_by_the_parameters_of_the_vehicle() -> None:
     for name, field in (("yaw_stiffness", "yaw_stiffness"), ("lateral_stiffness", "lateral_stiffness")):
         value = getattr(GEAR.vehicle, field)
         changed = replace(GEAR, vehicle=replace(GEAR.vehicle, **{field: (1 + step) * value}))
-        slope = (terms(changed, moved, moved, run.speed)[:, 0] - terms(GEAR, moved, moved, run.speed)[:, 0]) / step
-        column = terms(GEAR, moved, moved, run.speed)[:, 1 + PARAMETERS.index(name)]
+        slope = (_terms(changed, moved, run)[:, 0] - _terms(GEAR, moved, run)[:, 0]) / step
+        column = _terms(GEAR, moved, run)[:, 1 + PARAMETERS.index(name)]
         assert np.allclose(slope, column, rtol=1e-6, atol=1e-9 * np.abs(column).max())
 
 
