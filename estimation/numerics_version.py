@@ -7,4 +7,4 @@ differ from those recorded for this version.
 
 from __future__ import annotations
 
-NUMERICS_VERSION = "15"
+NUMERICS_VERSION = "16"

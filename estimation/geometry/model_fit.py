@@ -55,6 +55,7 @@ class RollingFitParameters:
     noise_doubt_vibrating: float = 0.4  # the same on axle boxes that vibrate
     friction_share: float = 0.3  # of the radius, per share by which the suspension moves more than on dry rails
     scale_share: float = 0.5  # of the radius, per scale of yaw against lateral sensor that sensors do not have
+    inertia_share: float = 0.15  # of the radius, per share of inertia that the wheelset lacks or has too much of
     most_unexplained_share: float = 0.2  # of the power of what the roll moves: beyond, contact jumps move the wheelset
     fewest_parts: int = 8
     doubted_stds: float = 2.0  # stds beyond which the radius on file is in doubt: right ones have 0.6 rms, at most 2.5
@@ -244,7 +245,9 @@ def _unexplained(fit: ModelFit, uncertainty: ParameterUncertainty) -> Contradict
     return Contradiction(reason, fit.misfit > certain, uncertainty.misfit_share * fit.misfit**2)
 
 
-_SCALE, _RADIUS, _SUSPENSION, _CURVE = (UNKNOWNS.index(name) for name in ("scale", "radius", "suspension", "curve"))
+_SCALE, _RADIUS, _INERTIA, _SUSPENSION, _CURVE = (
+    UNKNOWNS.index(name) for name in ("scale", "radius", "inertia", "suspension", "curve")
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -341,6 +344,7 @@ def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
         (doubt + ROLLING.noise_doubt_left * max(float(left.min()) - 1.0, 0.0)) * corrected,
         ROLLING.friction_share * best[_RADIUS] * max(best[_SUSPENSION] - 1.0, 0.0),
         ROLLING.scale_share * best[_RADIUS] * abs(best[_SCALE] - 1.0),
+        ROLLING.inertia_share * best[_RADIUS] * abs(best[_INERTIA] - 1.0),
     ]
     return RollingRadius(float(best[_RADIUS]), float(np.linalg.norm(stds)), bound)
 
