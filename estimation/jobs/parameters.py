@@ -20,6 +20,7 @@ class StageParameters:
     # refresh geometry
     remembered_half_lives: float = 20.0  # a weight of one in a million
     bogie_windows: int = 60  # that stand for all of a mileage interval where a bogie is estimated as one: an hour
+    bogie_half_lives: float = 2.9  # back from the newest of them: as old, in the mean, as windows with forgetting
     # refresh rails
     gauge_tolerance: float = 0.3e-3  # m, within which gauges count as alike
     gauge_digits: int = 4  # of a gauge in m

@@ -120,18 +120,25 @@ def beyond_reached(records: Sequence[IntervalConicities]) -> tuple[BeyondReached
     off: defaultdict[int, list[tuple[float, float]]] = defaultdict(list)
     for record in records[-CURVES.covering_intervals :]:
         covered = by_amplitude(record)
-        if _PREFERRED not in covered:
-            continue
         smaller = [covered[key]._replace(amplitude=key * SAME_AMPLITUDE) for key in sorted(covered) if key < _PREFERRED]
+        at_limit = covered.get(_PREFERRED) or _nearly_reached(smaller)
+        if at_limit is None:
+            continue
         for count, largest in enumerate(smaller, start=1):
             beyond = extrapolated(smaller[:count])
-            if beyond is not None and largest.amplitude >= CURVES.least_shown_amplitude - SAME_AMPLITUDE:
+            if beyond is not None and largest.amplitude >= CURVES.least_amplitude - SAME_AMPLITUDE:
                 key = round(largest.amplitude / SAME_AMPLITUDE)
-                off[key].append((covered[_PREFERRED].value - beyond.value, beyond.spread))
+                off[key].append((at_limit.value - beyond.value, beyond.spread))
     return tuple(
         BeyondReached(key * SAME_AMPLITUDE, *(float(np.median(column)) for column in zip(*pairs, strict=True)))
         for key, pairs in sorted(off.items())
     )
+
+
+def _nearly_reached(smaller: Sequence[KnownConicity]) -> Extrapolation | None:
+    """Return the conicity at the limit's amplitude of a wheelset that moves nearly as far."""
+    near = bool(smaller) and smaller[-1].amplitude >= CURVES.nearly_limit_amplitude - SAME_AMPLITUDE
+    return extrapolated(smaller) if near else None
 
 
 @lru_cache(MEMORY.extrapolations)

@@ -33,7 +33,7 @@ class CurveParameters:
     covering_intervals: int = 8  # an amplitude that a little worn wheelset did not reach long ago may be covered
     stored_unit: float = 1e-4  # of a stored conicity
     table_amplitudes: tuple[float, ...] = tuple(0.25e-3 * step for step in range(2, 13))  # m, of worn wheels
-    least_shown_amplitude: float = 1.5e-3  # m, of a wheelset that shows how its fleet goes on
+    nearly_limit_amplitude: float = 2.5e-3  # m, of a wheelset that shows how its fleet goes on
     spread_values: int = 40  # that show how the changes of members are spread
     # wear curve
     most_knots: int = 8

@@ -82,7 +82,10 @@ def bogie_of(unit: UnitOfWork, rules: Membership, parts: Sequence[Part], assumed
     if not held_by_spring(assumed.window_parameters.vehicle_class):
         return None
     windows = [member for part in parts for member in members(unit, rules, part)]
-    return BogieWindows(unit).fitted(sorted(windows, key=lambda member: member.start_ns), assumed)
+    newest_km = max((member.mileage_km for member in windows), default=0.0)
+    from_km = newest_km - JOBS.bogie_half_lives * rules.half_life_km
+    recent = [member for member in windows if member.mileage_km >= from_km]
+    return BogieWindows(unit).fitted(sorted(recent, key=lambda member: member.start_ns), assumed)
 
 
 # by the digest of all that they are made from: the other wheelset asks for the same

@@ -237,10 +237,21 @@ def test_a_wheelset_that_reaches_3_mm_says_what_was_extrapolated_wrongly() -> No
     alone = extrapolated(interval(0, CURVE).known)
     assert alone is not None
     shown = beyond_reached([interval(number, CURVE | {3.0: alone.value + 0.02}) for number in range(5)])
-    assert [round(1e3 * one.amplitude, 2) for one in shown] == [1.5, 1.75, 2.0, 2.25, 2.5]
+    assert [round(1e3 * one.amplitude, 2) for one in shown] == [1.75, 2.0, 2.25, 2.5]
     assert shown[-1].error == pytest.approx(0.02)
     assert shown[-1].std == pytest.approx(alone.spread)
-    assert beyond_reached([interval(number, CURVE) for number in range(5)]) == ()
+
+
+def test_a_wheelset_that_moves_nearly_as_far_says_what_was_extrapolated_from_less() -> None:
+    at_limit = extrapolated(interval(0, CURVE).known)
+    less = extrapolated(interval(0, {amplitude: CURVE[amplitude] for amplitude in (1.5, 1.75, 2.0)}).known)
+    assert at_limit is not None
+    assert less is not None
+    shown = {round(1e3 * one.amplitude, 2): one for one in beyond_reached([interval(0, CURVE)])}
+    assert shown[2.0].error == pytest.approx(at_limit.value - less.value)
+    assert shown[2.0].std == pytest.approx(less.spread)
+    not_as_far = {amplitude: value for amplitude, value in CURVE.items() if amplitude < 2.5}
+    assert beyond_reached([interval(0, not_as_far)]) == ()
 
 
 @pytest.mark.parametrize("points", [2, 3])
