@@ -39,6 +39,18 @@ CHANGED: Mapping[str, tuple[str, Mapping[str, Any]]] = {  # rows that are others
     ),
     "coach_known_3_h": ("coach_known", {"sessions": {"campaigns": 36, "minutes_each": 5.0}}),
     "coach_friction": ("coach_known", {"creep": {"law": "vermeulen_johnson", "friction": 0.35}}),
+    "coach_polach": (  # the law for dry rails of Polach (2005)
+        "coach_known",
+        {
+            "creep": {
+                "law": "polach",
+                "friction": 0.55,
+                "slip_factor": 0.4,
+                "sliding_friction_share": 0.4,
+                "sliding_decay_s_m": 0.6,
+            }
+        },
+    ),
     "coach_unknown_10_passes": ("coach_unknown", {"sessions": {"campaigns": 10}}),
     "scales_1_percent": (SOFT, {"sensors": {"scale_error_std_percent": 1.0, "stated_scale_std_percent": 0.5}}),
     "sensors_5_percent": (SOFT, {"sensors": {"scale_error_std_percent": 5.0, "stated_scale_std_percent": 0.0}}),
@@ -50,6 +62,7 @@ ROWS: Mapping[str, Reach | None] = {  # None: nothing may be published
     "coach_known": Reach(p95=0.012, half=0.014),
     "coach_known_3_h": Reach(p95=0.006, half=0.008),
     "coach_friction": Reach(p95=0.015, half=0.018),
+    "coach_polach": Reach(p95=0.015, half=0.018),
     "paper_unknown": Reach(p95=0.02),
     "soft_unknown": Reach(p95=0.005, half=0.005),
     "coach_unknown": Reach(p95=0.03),

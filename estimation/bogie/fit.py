@@ -81,6 +81,7 @@ class BogieFit(FrozenArrays):
     theta: Annotated[FloatArray, "u"]
     without: Annotated[FloatArray, "g", "u"]  # with each group of runs left out
     by_parameter: Annotated[FloatArray, "p", "u"]  # per std of what is known beforehand of each parameter
+    by_law: Annotated[FloatArray, "u"]  # by what the law of creep is off, of the curves alone
     by_bends: Annotated[FloatArray, "u", "u"]  # covariance by what is known beforehand of the bends of curves
     gear: Gear  # with the friction about which the equations were linear last
     visited: Annotated[FloatArray, 2, "b"]  # m run at each node, by axle
@@ -203,6 +204,7 @@ def _solved(known: Beforehand, state: _State, bend_std: float) -> BogieFit:
         theta,
         without,
         _by_parameter(inverse, known.stds),
+        _by_law(whole, state.gear.inverse_friction + float(theta[FRICTION])),
         by_curves @ information[UNKNOWNS:, UNKNOWNS:] @ by_curves.T,
         state.gear,
         visited,
@@ -220,6 +222,14 @@ def _by_parameter(inverse: FloatArray, stds: FloatArray) -> FloatArray:
     found = inverse[:, :UNKNOWNS].T / stds[:, None]
     found[FRICTION] = BOGIE.friction_doubt * inverse[:, FRICTION] / inverse[FRICTION, FRICTION]
     return np.asarray(found)
+
+
+def _by_law(whole: FloatArray, inverse_friction: float) -> FloatArray:
+    """Return the change (u,) of the curves where creep saturates otherwise than its law says; springs stay."""
+    change, curves = np.zeros(len(whole)), slice(UNKNOWNS, None)
+    per_friction = np.linalg.solve(whole[curves, curves], whole[curves, FRICTION])
+    change[curves] = BOGIE.law_doubt * inverse_friction * per_friction
+    return change
 
 
 def _not_below(theta: FloatArray, inverse: FloatArray, least: float) -> FloatArray:

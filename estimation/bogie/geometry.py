@@ -49,7 +49,7 @@ def curve_replicates(
     values, vectors = np.linalg.eigh(centred @ fit.by_bends[own, own] @ centred.T)
     seen = values > BOGIE.least_bend_share * values[-1]
     of_bends = (vectors[:, seen] * np.sqrt(values[seen])).T
-    of_parameters = fit.by_parameter[:, own] @ centred.T
+    of_parameters = np.vstack([fit.by_parameter, fit.by_law])[:, own] @ centred.T
     # what the instruments have in common with y - d flattens the curve; the noise of the sensors does not
     shared = float(np.hypot(uncertainty.alignment_noise, fit.open_std[axle]))
     centre, scale = bin_centres(edges), uncertainty.displacement
@@ -72,7 +72,7 @@ def curve_replicates(
         band_limited=True,
         held_shares=uncertainty.held_shares,
         contact_roll=uncertainty.contact_roll,
-        sources=(*SOURCES, *[ErrorSource.BLUR] * len(of_bends), ErrorSource.SCALE),
+        sources=(*SOURCES, ErrorSource.FRICTION, *[ErrorSource.BLUR] * len(of_bends), ErrorSource.SCALE),
     )
 
 

@@ -12,7 +12,7 @@ from bogie_run import COACH, SOFT, of_bogie, single
 
 from estimation.bogie.curves import Curves, nodes
 from estimation.bogie.equations import PARAMETERS
-from estimation.bogie.fit import Beforehand, BogieFit, fit_bogie
+from estimation.bogie.fit import Beforehand, BogieFit, _by_law, fit_bogie
 from estimation.bogie.geometry import curve_replicates, in_bins
 from estimation.bogie.parameters import BOGIE
 from estimation.bogie.signals import followed, placed
@@ -104,6 +104,26 @@ def test_what_is_found_of_friction_is_doubted() -> None:
     assert BOGIE.friction_doubt == 1.0
 
 
+def test_what_saturation_takes_is_doubted_by_a_fifth() -> None:
+    """Another law of creep moves the curves as another friction does, while the springs stay as they are."""
+    u = UNKNOWNS + 2 * len(nodes())
+    whole, friction = np.eye(u), PARAMETERS.index("inverse_friction")
+    whole[UNKNOWNS:, friction] = whole[friction, UNKNOWNS:] = np.tile(1e-5 * nodes(), 2)
+    change = _by_law(whole, 3.0)
+    assert BOGIE.law_doubt == 0.2
+    assert np.allclose(change[UNKNOWNS:], 0.2 * 3.0 * np.tile(1e-5 * nodes(), 2))
+    assert not change[:UNKNOWNS].any()
+    by_law = np.concatenate([np.zeros(UNKNOWNS), 0.02 * Curves.straight(0.2).values.ravel()])
+    plain, doubted = (
+        curve_estimates(
+            curve_replicates(fit, 0, EDGES, ParameterUncertainty(), 0.0, 8), CurveParameters(amplitudes=(2e-3,))
+        ).conicity[0].std
+        for fit in (_fit_like(), _fit_like(by_law=by_law))
+    )  # fmt: skip
+    assert plain is not None
+    assert doubted == pytest.approx(np.hypot(plain, 0.02 * 0.2), rel=0.02)
+
+
 def _friction_alone(std: float) -> np.ndarray:
     found = np.zeros((UNKNOWNS, UNKNOWNS + 2 * len(nodes())))
     found[2, 2] = std
@@ -148,8 +168,8 @@ def _fit_like(**changed: object) -> BogieFit:
     theta = np.concatenate([np.zeros(UNKNOWNS), Curves.straight(0.2).values.ravel()])
     visited = np.tile(np.where(np.abs(nodes()) < 3.1e-3, 100.0, 0.0), (2, 1))
     base = BogieFit(
-        theta, np.tile(theta, (8, 1)), np.zeros((UNKNOWNS, u)), 1e-16 * np.eye(u), Beforehand.of(CLASS).gear, visited,
-        np.ones(2), np.zeros(2), 0.0,
+        theta, np.tile(theta, (8, 1)), np.zeros((UNKNOWNS, u)), np.zeros(u), 1e-16 * np.eye(u),
+        Beforehand.of(CLASS).gear, visited, np.ones(2), np.zeros(2), 0.0,
     )  # fmt: skip
     assert b == visited.shape[1]
     return replace(base, **changed)
