@@ -58,7 +58,7 @@ class Extrapolation:
         return NormalMixture(np.full(count, 1.0 / count), self.value + around, np.full(count, rest))
 
 
-def conicity_at_limit_amplitude(geometry: WheelsetGeometry) -> Estimate:
+def conicity_at_limit_amplitude(geometry: WheelsetGeometry, fleet: FleetWear | None = None) -> Estimate:
     """Return the conicity at 3 mm, which a limit is compared with: as the geometry has it, or extrapolated."""
     pairs = list(zip(geometry.amplitude.tolist(), geometry.conicity, strict=True))
     if np.isfinite(geometry.reported_amplitude):
@@ -73,7 +73,7 @@ def conicity_at_limit_amplitude(geometry: WheelsetGeometry) -> Estimate:
     if not below:
         return Estimate.unknown(not_comparable(estimated[0][0]), estimated[0][1].count)
     amplitude, count = below[-1].amplitude, estimated[len(below) - 1][1].count
-    beyond = extrapolated(below)
+    beyond = extrapolated(below, fleet=fleet)
     if beyond is None:
         return Estimate.unknown(not_comparable(amplitude), count)
     low, high = (beyond.mixture().quantile(share) for share in (0.025, 0.975))

@@ -153,13 +153,12 @@ def limit_state(geometry: WheelsetGeometry, trend: WearTrend | None) -> LimitSta
     """Return what the data show of the conicity of a wheelset, by its current geometry and the trend of its profile."""
     # the fitted trend says what is at 3 mm, or the current geometry where none is comparable
     fitted = None if trend is None or trend.not_comparable else trend.fitted
-    conicity = fitted
+    conicity, fleet = fitted, None if trend is None else trend.fleet
     if conicity is None or conicity.status is not Status.ESTIMATED:
-        conicity = conicity_at_limit_amplitude(geometry)
+        conicity = conicity_at_limit_amplitude(geometry, fleet)
     amplitude = geometry.reported_amplitude
     reaches = CURVES.least_amplitude - SAME_AMPLITUDE < amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE
     extrapolates = reaches and geometry.equivalent_conicity.status is Status.ESTIMATED
-    fleet = None if trend is None else trend.fleet
     beyond = extrapolated(below_limit(geometry), fleet=fleet) if extrapolates else None
     last: list[Estimate] = []
     if trend is not None and conicity is fitted:
@@ -193,7 +192,7 @@ def limit_now(
     """
     conicity = unknown or Estimate.unknown(NO_TREND)
     if geometry is not None:
-        conicity = _published(conicity_at_limit_amplitude(geometry))
+        conicity = _published(conicity_at_limit_amplitude(geometry, None if trend is None else trend.fleet))
     now = LimitNow(
         conicity=conicity,
         slope_per_1000_km=Estimate.unknown(NO_TREND) if trend is None else _published(trend.slope_per_1000_km),
