@@ -238,7 +238,7 @@ def with_rules(settings: Settings, name: str, folder: Path) -> Settings:
     return settings.model_copy(update={"rules_file": file})
 
 
-BESIDE = {"demo": ("demo_autumn",)}  # scenarios that are shown beside a built-in one
+BESIDE = {"demo": ("demo_autumn", "demo_coach")}  # scenarios that are shown beside a built-in one
 MARKER = "made-by-treadwatch-demo"
 
 

@@ -53,7 +53,7 @@ def test_the_runs_of_one_vehicle_may_be_shorter(tmp_path: Path) -> None:
     np.testing.assert_array_equal(short.speed, long.speed[: len(short.speed)])
 
 
-@pytest.mark.parametrize("name", ["demo", "demo_autumn", "demo_single", "live", "mems", "paper"])
+@pytest.mark.parametrize("name", ["demo", "demo_autumn", "demo_coach", "demo_single", "live", "mems", "paper"])
 def test_built_in_scenarios_are_good(name: str) -> None:
     assert name in builtin_scenarios()
     assert load_scenario(name).name == name
@@ -136,6 +136,6 @@ def test_a_file_that_is_no_scenario_is_refused(tmp_path: Path, content: str, wor
 
 def test_an_unknown_name_lists_what_there_is() -> None:
     with pytest.raises(
-        ScenarioError, match=r"demo, demo_autumn, demo_single, gauge_1mm_.*live, .*mems, .*unknown_position"
+        ScenarioError, match=r"demo, demo_autumn, demo_coach, demo_single, gauge_1mm_.*live, .*mems, .*unknown_position"
     ):
         load_scenario("no-such-scenario")
