@@ -204,7 +204,7 @@ def _solved(known: Beforehand, state: _State, bend_std: float) -> BogieFit:
         theta,
         without,
         _by_parameter(inverse, known.stds),
-        _by_law(whole, state.gear.inverse_friction + float(theta[FRICTION])),
+        _by_law(whole),
         by_curves @ information[UNKNOWNS:, UNKNOWNS:] @ by_curves.T,
         state.gear,
         visited,
@@ -224,11 +224,14 @@ def _by_parameter(inverse: FloatArray, stds: FloatArray) -> FloatArray:
     return np.asarray(found)
 
 
-def _by_law(whole: FloatArray, inverse_friction: float) -> FloatArray:
-    """Return the change (u,) of the curves where creep saturates otherwise than its law says; springs stay."""
+def _by_law(whole: FloatArray) -> FloatArray:
+    """Return the change (u,) of the curves where creep saturates otherwise than its law says; springs stay.
+
+    By friction as rails have it, not as it is found: what saturates by another law is taken for softer creep.
+    """
     change, curves = np.zeros(len(whole)), slice(UNKNOWNS, None)
     per_friction = np.linalg.solve(whole[curves, curves], whole[curves, FRICTION])
-    change[curves] = BOGIE.law_doubt * inverse_friction * per_friction
+    change[curves] = BOGIE.law_doubt * BOGIE.inverse_friction * per_friction
     return change
 
 

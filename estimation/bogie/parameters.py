@@ -48,7 +48,7 @@ class BogieFitParameters:
     # beforehand
     inverse_friction: float = 3.3  # 1/mu, as ``geometry.uncertainty`` has it
     friction_doubt: float = 1.0  # std of 1/mu as found: 3.3 are found as 1.9 to 2.8
-    law_doubt: float = 0.2  # of what saturation takes: laws of creep differ by as much halfway to the bound
+    law_doubt: float = 0.15  # of what saturation takes: laws of creep differ by as much halfway to the bound
     most_inverse_friction: float = 8.0  # that is followed
     inverse_friction_std: float = 1.2  # rails have 2 to 6; the linear law 0
     most_saturation: float = 0.9  # of the bound of a wheel's creep force, as far as the law is followed
