@@ -22,7 +22,7 @@ from bench.coverage import Verdict, verdict_of
 from bench.forecast_scores import COLUMNS, ForecastFigures, Happened, Prediction
 from bench.report import Bench, Part, ResultTable, say
 from bench.scores import Cluster, Figures, compared
-from bench.wear_lives import ALIKE, DEMO, MIXED, OF_LAWS, Life, Observed, Railway, lives
+from bench.wear_lives import ALIKE, DEMO, MIXED, OF_LAWS, WIDE, Life, Observed, Railway, lives
 from estimation.trend.fleet import fleet_priors, own_wear
 from estimation.trend.trend import refresh
 from estimation.values.trend import TrendPoint, WearTrend
@@ -59,7 +59,9 @@ def in_fleets(observed: Sequence[Observed]) -> list[WearTrend]:
     for numbers in fleets.values():
         said = fleet_priors([own_wear(observed[n].x, observed[n].value, observed[n].noise, 0.0) for n in numbers])
         for n, fleet in zip(numbers, said, strict=True):
-            trends[n] = refresh(trend_points(observed[n]), observed[n].limit, fleet=fleet, origin_km=0.0)
+            one = observed[n]
+            measured = [TrendPoint(km, 0, value, std) for km, value, std in one.measured.tolist()]
+            trends[n] = refresh(trend_points(one), one.limit, fleet=fleet, origin_km=0.0, measured=measured)
     return [trends[number] for number in range(len(observed))]
 
 
@@ -128,7 +130,12 @@ ROWS: Mapping[str, tuple[Railway, Reach]] = {
     "fleets mixed": (MIXED, Reach((LIVES_COVER, LIVES_TOLERATED), score=230_000.0)),
     "as the demo, limit 100,000 km ahead": (DEMO, Reach(width=50_000.0, slope=0.007)),
 }
-SEEDS_OF_DEMO = 20  # times the seeds: its railway is one fleet
+PROFILES = (0, 1, 3)
+ROWS = {
+    **ROWS,
+    **{f"wide, {count} profiles measured": (replace(WIDE, measured=count), Reach()) for count in PROFILES},
+}
+SEEDS_OF_DEMO = 100  # times the seeds: its railway is one fleet
 
 
 def judged(railway: Railway, fitters: Mapping[str, Fitter], seeds: Sequence[int]) -> dict[str, Row]:

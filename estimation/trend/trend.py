@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from estimation.trend.calibration import SharedError, shared_error
 from estimation.trend.change_point import CONICITY, ChangePoint, Series, newest_change
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, by_amplitude
 from estimation.trend.now import QUANTILES, probability_above
@@ -95,12 +96,14 @@ def refresh(
     not_comparable: Reason | None = None,
     fleet: FleetWear | None = None,
     origin_km: float | None = None,
+    measured: Sequence[TrendPoint] = (),
 ) -> WearTrend:
     """Return the trend of the points, in whatever order they come.
 
     Args:
         fleet: What is known of the wear of the wheelset beforehand; None for nothing.
         origin_km: Mileage at which the profile began to wear; None for that of the first point.
+        measured: Values by measured profiles of the same wheels, at the mileages of estimates.
         not_comparable: Why the points cannot be compared with the limit, which then nothing is said about; None where
             they can.
 
@@ -116,7 +119,7 @@ def refresh(
         code = lacking.code if note is None or len(columns.value) else note.code
         trend = _unestimated(columns, limit, quantity, replace(why, code=code))
     else:
-        trend = _estimated(columns, limit, params, quantity, note, fleet, origin_km)
+        trend = _estimated(columns, limit, params, quantity, note, fleet, origin_km, measured)
     if note is not None and note.code is ReasonCode.AMPLITUDE_EXTRAPOLATED and trend.fitted.value is not None:
         trend = replace(trend, fitted=replace(trend.fitted, reason=note))
     if not_comparable is None:
@@ -183,10 +186,12 @@ def _estimated(
     note: Reason | None,
     fleet: FleetWear | None,
     origin_km: float | None,
+    measured: Sequence[TrendPoint],
 ) -> WearTrend:
     prior = None if fleet is None else fleet.components
     by_distance = fit_recent(points.mileage_km, points.value, points.noise, params, prior, origin_km)
-    by_distance = _believed(by_distance, points, params, None if prior is None else CURVES.growing_km)
+    error = shared_error(points, float(by_distance.weight @ by_distance.level), params.scale_std, measured)
+    by_distance = _believed(by_distance, error, None if prior is None else CURVES.growing_km)
     count = float(by_distance.share.sum())
     order = np.argsort(points.measured_ns, kind="stable")
     since, by_date = points.measured_ns[order] - points.measured_ns.max(), None
@@ -196,7 +201,7 @@ def _estimated(
         km_per_year = float((points.mileage_km[-1] - points.mileage_km[0]) / (years[-1] - years[0]))
         of_years, origin = _by_date(km_per_year, float(points.mileage_km[0]), float(years[0]), prior, origin_km)
         by_date = fit_recent(years, value, noise, params, of_years, origin)
-        by_date = _believed(by_date, points, params, None if prior is None else CURVES.growing_km / km_per_year)
+        by_date = _believed(by_date, error, None if prior is None else CURVES.growing_km / km_per_year)
         slope_per_year = by_date.slope_now().estimate(count)
         ahead = _forecast(by_date, limit, params.horizon_years)
         last = int(points.measured_ns.max())
@@ -217,18 +222,16 @@ def _estimated(
         over_ahead=over_ahead,
         fleet=fleet,
         origin_km=origin_km,
+        calibration=error.measured,
     )
 
 
-def _believed(curve: WearCurve, points: PointColumns, params: TrendParameters, growing: float | None) -> WearCurve:
-    """Return the curve with the errors that all points have in common: of scale, and of the level.
+def _believed(curve: WearCurve, error: SharedError, growing: float | None) -> WearCurve:
+    """Return the curve less the errors that all points have in common.
 
     ``growing`` is the distance over which the indicator is known to grow; None where nothing is known beforehand.
     """
-    curve = curve if growing is None else curve.growing(growing, CURVES.falling_share)
-    shared = points.shared_std
-    of_scale = min(shared, params.scale_std * abs(float(curve.weight @ curve.level)))
-    return curve.scaled(params.scale_std, of_scale).shifted(float(np.sqrt(shared**2 - of_scale**2)))
+    return (curve if growing is None else curve.growing(growing, CURVES.falling_share)).less(error)
 
 
 def _by_date(
@@ -348,7 +351,9 @@ def trend_up_to(record: TrendRecord, mileage_km: float, parameters: TrendParamet
     until = int(np.searchsorted(now.mileage_km, mileage_km, side="right"))
     columns = (now.mileage_km, now.measured_ns, now.value, now.std, now.noise)
     points = tuple(column[:until].tobytes() for column in columns)
-    then = _refitted(points, now.limit, now.quantity, (now.fleet, now.origin_km), parameters)
+    measured = () if now.calibration is None else now.calibration.measured
+    measured = tuple(point for point in measured if point.mileage_km <= mileage_km)
+    then = _refitted(points, now.limit, now.quantity, (now.fleet, now.origin_km, measured), parameters)
     if now.step is not None:
         then = with_step(then, now.step)
     return replace(record, trend=replace(then, raise_probability=now.raise_probability))
@@ -359,11 +364,11 @@ def _refitted(
     points: tuple[bytes, ...],
     limit: float,
     quantity: str,
-    beforehand: tuple[FleetWear | None, float | None],
+    beforehand: tuple[FleetWear | None, float | None, tuple[TrendPoint, ...]],
     parameters: TrendParameters,
 ) -> WearTrend:
     kinds = (np.float64, np.int64, np.float64, np.float64, np.float64)
     columns = [np.frombuffer(column, kind).tolist() for column, kind in zip(points, kinds, strict=True)]
     rows = [TrendPoint(*row) for row in zip(*columns, strict=True)]
-    fleet, origin_km = beforehand
-    return refresh(rows, limit, parameters, quantity=quantity, fleet=fleet, origin_km=origin_km)
+    fleet, origin_km, measured = beforehand
+    return refresh(rows, limit, parameters, quantity=quantity, fleet=fleet, origin_km=origin_km, measured=measured)

@@ -25,6 +25,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
+from estimation.trend.calibration import SharedError
 from estimation.trend.parameters import CURVES
 from estimation.trend.wear_grid import Counted, ScaledPoints, robust, scaled_points
 from estimation.values.arrays import FloatArray
@@ -47,21 +48,14 @@ class WearCurve:
     share: FloatArray  # (k,) lambda: what each point counts, 1 for a good one
     converged: bool = True  # whether the shares stopped changing
 
-    def shifted(self, std: float) -> WearCurve:
-        """Return the curve with an error of that standard deviation that all its points have in common."""
-        if std == 0.0:
-            return self
-        covariance = self.covariance.copy()
-        covariance[:, 0, 0] += std**2
-        return replace(self, covariance=covariance)
-
-    def scaled(self, std: float, level_std: float = 0.0) -> WearCurve:
-        """Return the curve with a relative error of that standard deviation that all its slopes have in common.
-
-        ``level_std`` is what the level has of the same error.
-        """
-        off = np.stack([np.full_like(self.slope, level_std), std * self.slope, std * self.damped], axis=1)
-        return replace(self, covariance=self.covariance + off[:, :, None] * off[:, None, :])
+    def less(self, error: SharedError) -> WearCurve:
+        """Return the curve less the error that all its points have in common, as far as that is known."""
+        off = np.zeros((len(self.weight), 3, 2))
+        off[:, 0] = 1.0, error.of_scale
+        off[:, 1, 1], off[:, 2, 1] = error.scale_std * self.slope, error.scale_std * self.damped
+        level, slope, damped = np.stack(self._means) - (off @ error.mean).T
+        covariance = self.covariance + off @ error.covariance @ off.transpose(0, 2, 1)
+        return replace(self, level=level, slope=slope, damped=damped, covariance=covariance)
 
     def growing(self, ahead: float, falling_share: float) -> WearCurve:
         """Return the curve of an indicator that grows: whose slope now and ``ahead`` is below 0 in a small share only.
