@@ -202,7 +202,7 @@ TREND = Stage(
     job="refresh_trends",
     kind=TRENDS.subject,
     facets=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage, FLEET_WEAR.stage),
-    settings=lambda settings: (settings.trend, settings.rules.version),
+    settings=lambda settings: (settings.trend, settings.rules.version, settings.estimation.interval_km),
     load=load,
     compute=compute,
     counted=Counted(looked="wheelsets", changed="refreshed", same="unchanged", more=("without_limit",)),
