@@ -1,9 +1,10 @@
 """Forecasts of wear against what happened: ``python -m bench trend [--seeds 2] [--fitters product] [--write-docs]``.
 
 Whole railways of wheelsets are simulated (``wear_lives``): fleets of one of seven laws of wear, fleets alike and of
-mixed laws that change, and one as the demo. A fitter gets what is on file of all wheelsets of a railway at once, so it
-may learn of each from the others; several are compared on the same lives. Every number is judged against the truth:
-level and slope at the last point, and the distribution of the distance to the limit (``forecast_scores``).
+mixed laws that change, one as the demo, and fleets whose levels err widely, without and with measured profiles. A
+fitter gets what is on file of all wheelsets of a railway at once, so it may learn of each from the others; several are
+compared on the same lives. Every number is judged against the truth: level and slope at the last point, and the
+distribution of the distance to the limit (``forecast_scores``).
 """
 
 from __future__ import annotations
@@ -129,13 +130,9 @@ ROWS: Mapping[str, tuple[Railway, Reach]] = {
     "fleets alike": (ALIKE, Reach((LIVES_COVER, LIVES_TOLERATED), score=130_000.0)),
     "fleets mixed": (MIXED, Reach((LIVES_COVER, LIVES_TOLERATED), score=230_000.0)),
     "as the demo, limit 100,000 km ahead": (DEMO, Reach(width=50_000.0, slope=0.007)),
+    **{f"wide, {count} measured profiles": (replace(WIDE, measured=count), Reach()) for count in (0, 1, 3)},
 }
-PROFILES = (0, 1, 3)
-ROWS = {
-    **ROWS,
-    **{f"wide, {count} profiles measured": (replace(WIDE, measured=count), Reach()) for count in PROFILES},
-}
-SEEDS_OF_DEMO = 100  # times the seeds: its railway is one fleet
+SEEDS_OF_DEMO = 100  # times the seeds: its railway is one fleet, whose scale all its wheelsets share
 
 
 def judged(railway: Railway, fitters: Mapping[str, Fitter], seeds: Sequence[int]) -> dict[str, Row]:

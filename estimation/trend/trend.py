@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -203,11 +203,13 @@ def _estimated(
         by_date = fit_recent(years, value, noise, params, of_years, origin)
         by_date = _believed(by_date, error, None if prior is None else CURVES.growing_km / km_per_year)
         slope_per_year = by_date.slope_now().estimate(count)
-        ahead = _forecast(by_date, limit, params.horizon_years)
+        reached, _ = _forecast(by_date, limit, params.horizon_years)
         last = int(points.measured_ns.max())
-        date = Forecast(*(None if y is None else last + round(y * YEAR_NS) for y in (ahead.p10, ahead.p50, ahead.p90)))
-    level, distance = by_distance.level_now(), _forecast(by_distance, limit, params.horizon_km)
-    ahead_km, over_ahead = _ahead(by_distance, limit, distance, params.horizon_km)
+        date = Forecast(*(None if year is None else last + round(year * YEAR_NS) for year in astuple(reached)))
+    level, (distance, (ahead_km, over_ahead)) = (
+        by_distance.level_now(),
+        _forecast(by_distance, limit, params.horizon_km),
+    )
     return replace(
         _unestimated(points, limit, quantity, note),
         slope_per_1000_km=by_distance.slope_now().estimate(count).scaled(1000.0),
@@ -246,16 +248,14 @@ def _by_date(
     return None if prior is None else [component.per(km_per_year) for component in prior], origin
 
 
-def _ahead(curve: WearCurve, limit: float, distance: Forecast, horizon_km: float) -> tuple[FloatArray, FloatArray]:
-    """Return distances from the last point and the probabilities of being over the limit there."""
-    # the quantiles are among them: in between it is interpolated, and at these it is exact
-    quantiles = [far for far in (distance.p10, distance.p50, distance.p90) if far]
-    ahead_km = np.unique([*(horizon_km * np.linspace(0.0, 1.0, CURVES.points_ahead) ** 2), *quantiles])
-    return ahead_km, curve.above_after(ahead_km, limit)
-
-
-def _forecast(curve: WearCurve, limit: float, horizon: float) -> Forecast:
-    return Forecast(*curve.reached_with(limit, list(QUANTILES.values()), horizon))
+def _forecast(curve: WearCurve, limit: float, horizon: float) -> tuple[Forecast, tuple[FloatArray, FloatArray]]:
+    """Return where the limit is reached, and distances from the last point with the probabilities of being over it."""
+    ahead = curve.ahead(limit, horizon)
+    reached = Forecast(*(curve.reached_with(limit, probability, ahead) for probability in QUANTILES.values()))
+    # the quantiles are among the distances: in between it is interpolated, and at these it is exact
+    further = np.array([distance for distance in astuple(reached) if distance])
+    distances, first = np.unique(np.concatenate([ahead[0], further]), return_index=True)
+    return reached, (distances, np.concatenate([ahead[1], curve.above_after(further, limit)])[first])
 
 
 _Covered = tuple[IntervalConicities, Mapping[int, KnownConicity]]  # with its conicities by amplitude in micrometres

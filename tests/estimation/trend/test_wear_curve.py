@@ -164,7 +164,7 @@ def first_above(curve: WearCurve, limit: float, probability: float, horizon: flo
         return curve.level_after(distance).above(limit) - probability
 
     before = 0.0
-    for distance in (horizon * np.linspace(0.0, 1.0, CURVES.horizon_points + 1) ** 2).tolist():
+    for distance in (horizon * np.linspace(0.0, 1.0, CURVES.points_ahead) ** 2).tolist():
         if short(distance) >= 0.0:
             return float(brentq(short, before, distance, xtol=1e-6 * horizon)) if distance else 0.0
         before = distance
