@@ -10,7 +10,7 @@ normal distribution.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,23 +37,29 @@ def shared_error(
     level: float,
     scale_std: float,
     measured: Sequence[TrendPoint] = (),
+    share: FloatArray | None = None,
     params: CalibrationParameters = CALIBRATION,
 ) -> SharedError:
-    """Return the error that points (k,) have in common, at a level, beside measured profiles at their mileages."""
-    beside = [(p, int(np.argmin(np.abs(points.mileage_km - p.mileage_km)))) for p in measured]
+    """Return the error that points (k,) have in common, at a level, beside measured profiles at their mileages.
+
+    ``share`` is what the newest points (n,) count: the noise of an outlier is wider.
+    """
+    noise_std = points.noise.copy()
+    if share is not None:
+        noise_std[len(noise_std) - len(share) :] /= np.sqrt(share)
+    known = [replace(p, std=max(p.std, params.least_std)) for p in measured]
+    beside = [(p, int(np.argmin(np.abs(points.mileage_km - p.mileage_km)))) for p in known]
     beside = [(p, i) for p, i in beside if abs(points.mileage_km[i] - p.mileage_km) <= params.within_km]
     agree = [(p, i) for p, i in beside if abs(_z(points, p, i)) <= params.contradicting_stds]
     at = np.array([i for _, i in agree], dtype=np.int64)
     truth, std = (np.array([getattr(p, name) for p, _ in agree]) for name in ("value", "std"))
-    shared = np.concatenate(
-        [[points.shared_std], np.sqrt(np.maximum(points.std[at] ** 2 - points.noise[at] ** 2, 0.0))]
-    )
+    shared = np.concatenate([[points.shared_std], points.shared[at]])
     scale = np.minimum(shared, scale_std * np.abs(np.concatenate([[level], points.value[at]])))  # a
     constant = np.sqrt(shared**2 - scale**2)  # std of c
     sizes = np.log(np.maximum(constant, params.least_size))
     alike = np.exp(-0.5 * (np.subtract.outer(sizes, sizes) / params.alike_sizes) ** 2)
     common = np.outer(constant, constant) * alike
-    noise = np.diag(std**2) + points.noise[at] ** 2 * np.equal.outer(at, at)
+    noise = np.diag(std**2) + noise_std[at] ** 2 * np.equal.outer(at, at)
     seen = np.stack([common[0, 1:], scale[1:]])  # (2, m) covariance of both with what is seen
     gain = seen @ np.linalg.inv(common[1:, 1:] + np.outer(scale[1:], scale[1:]) + noise)
     mean, covariance = gain @ (points.value[at] - truth), np.diag([constant[0] ** 2, 1.0]) - gain @ seen.T

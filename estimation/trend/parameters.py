@@ -112,6 +112,7 @@ class CalibrationParameters:
     """Numbers of what measured profiles say of a trend."""
 
     within_km: float = 1000.0  # of the point beside a measured profile: in that distance a profile hardly wears
+    least_std: float = 0.005  # of a measured conicity: rails are taken as new
     contradicting_stds: float = 4.0  # of point and measurement, from which on a measured profile is not believed
     alike_sizes: float = 0.7  # of logarithms of stds, over which errors lose what they have in common
     least_size: float = 1e-6  # of a std

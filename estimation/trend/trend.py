@@ -190,7 +190,8 @@ def _estimated(
 ) -> WearTrend:
     prior = None if fleet is None else fleet.components
     by_distance = fit_recent(points.mileage_km, points.value, points.noise, params, prior, origin_km)
-    error = shared_error(points, float(by_distance.weight @ by_distance.level), params.scale_std, measured)
+    level_now = float(by_distance.weight @ by_distance.level)
+    error = shared_error(points, level_now, params.scale_std, measured, by_distance.share)
     by_distance = _believed(by_distance, error, None if prior is None else CURVES.growing_km)
     count = float(by_distance.share.sum())
     order = np.argsort(points.measured_ns, kind="stable")

@@ -114,11 +114,11 @@ def measured_conicities(
     except DamagedError:
         return ()
     present = [item for item in stored if baseline_at(wheelset, item.at_ns)[0] == len(wheelset.reprofilings)]
-    present = [item for item in present if item.at_ns >= since_ns]
-    intervals = unit.geometries.intervals(wheelset.serial) if present else ()
+    asked = [item for item in present if item.at_ns >= since_ns]
+    intervals = unit.geometries.intervals(wheelset.serial) if asked else ()
     since = [record for record in intervals if record.from_ns >= since_ns]
     found = []
-    for item in present:
+    for item in asked:
         record = estimate_of_date(item, wheelset, since, interval_km).record
         if record is None or rests_on(unit, record, present):
             continue

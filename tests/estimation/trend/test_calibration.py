@@ -69,9 +69,9 @@ def by_sources(profiles: list[tuple[int, float, float]]) -> tuple[FloatArray, Fl
     "profiles",
     [
         [(8, 0.02, 0.006)],
-        [(0, 0.01, 0.003)],
-        [(2, 0.01, 0.006), (5, 0.02, 0.002), (8, -0.01, 0.01)],
-        [(4, 0.02, 0.005), (4, 0.03, 0.005)],
+        [(0, 0.01, 0.009)],
+        [(2, 0.01, 0.006), (5, 0.02, 0.0051), (8, -0.01, 0.01)],
+        [(4, 0.02, 0.007), (4, 0.03, 0.007)],
     ],
 )
 def test_the_posterior_is_that_of_all_sources_of_error(profiles: list[tuple[int, float, float]]) -> None:
@@ -82,6 +82,14 @@ def test_the_posterior_is_that_of_all_sources_of_error(profiles: list[tuple[int,
     assert error.measured is not None
     assert error.measured.profiles == len(profiles)
     assert error.measured.shift == pytest.approx(-(mean[0] + error.of_scale * mean[1]))
+
+
+@pytest.mark.parametrize(("std", "alike"), [(1e-3, True), (0.00499, True), (0.00502, False)])
+def test_a_measured_conicity_is_known_to_5_thousandths_at_best(*, std: float, alike: bool) -> None:
+    given_, best = (
+        shared_error(columns(), float(VALUE[-1]), SCALE_STD, [measured(8, 0.01, of)]) for of in (std, 0.005)
+    )
+    assert np.array_equal(given_.mean, best.mean) is alike
 
 
 def test_without_profiles_it_is_as_stated() -> None:
@@ -142,6 +150,19 @@ def test_a_measured_profile_moves_level_and_forecast_and_leaves_the_points() -> 
     assert -0.02 < trend.calibration.shift < -0.015
     assert (trend.fitted.std or 1.0) < 0.5 * (plain.fitted.std or 0.0)
     assert (trend.distance_to_limit_km.p50 or 0.0) > (plain.distance_to_limit_km.p50 or 1e9)
+
+
+def test_an_outlier_beside_a_measured_profile_does_not_move_the_level() -> None:
+    given_ = points()
+    wrong = [replace(p, value=p.value + 0.05) if number == 5 else p for number, p in enumerate(given_)]
+    shifts = []
+    for every in (given_, wrong):
+        trend = refresh(every, 0.4, measured=[measured(5, 0.0)])
+        assert trend.calibration is not None
+        assert trend.calibration.profiles == 1
+        shifts.append(trend.calibration.shift)
+    assert shifts[0] == pytest.approx(0.0, abs=1e-3)
+    assert abs(shifts[1]) < 0.02
 
 
 def test_as_of_a_mileage_only_what_was_measured_before_counts() -> None:
