@@ -130,7 +130,7 @@ ROWS: Mapping[str, tuple[Railway, Reach]] = {
     "fleets alike": (ALIKE, Reach((LIVES_COVER, LIVES_TOLERATED), score=130_000.0)),
     "fleets mixed": (MIXED, Reach((LIVES_COVER, LIVES_TOLERATED), score=230_000.0)),
     "as the demo, limit 100,000 km ahead": (DEMO, Reach(width=50_000.0, slope=0.007)),
-    **{f"wide, {count} measured profiles": (replace(WIDE, measured=count), Reach()) for count in (0, 1, 3)},
+    **{f"wide, profiles measured: {count}": (replace(WIDE, measured=count), Reach()) for count in (0, 1, 3)},
 }
 SEEDS_OF_DEMO = 100  # times the seeds: its railway is one fleet, whose scale all its wheelsets share
 
