@@ -1,9 +1,10 @@
 """Forecasts of wear against what happened: ``python -m bench trend [--seeds 2] [--fitters product] [--write-docs]``.
 
 Whole railways of wheelsets are simulated (``wear_lives``): fleets of one of seven laws of wear, fleets alike and of
-mixed laws that change, and one as the demo. A fitter gets what is on file of all wheelsets of a railway at once, so it
-may learn of each from the others; several are compared on the same lives. Every number is judged against the truth:
-level and slope at the last point, and the distribution of the distance to the limit (``forecast_scores``).
+mixed laws that change, one as the demo, and fleets whose levels err widely, without and with measured profiles. A
+fitter gets what is on file of all wheelsets of a railway at once, so it may learn of each from the others; several are
+compared on the same lives. Every number is judged against the truth: level and slope at the last point, and the
+distribution of the distance to the limit (``forecast_scores``).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from bench.coverage import Verdict, verdict_of
 from bench.forecast_scores import COLUMNS, ForecastFigures, Happened, Prediction
 from bench.report import Bench, Part, ResultTable, say
 from bench.scores import Cluster, Figures, compared
-from bench.wear_lives import ALIKE, DEMO, MIXED, OF_LAWS, Life, Observed, Railway, lives
+from bench.wear_lives import ALIKE, DEMO, MIXED, OF_LAWS, WIDE, Life, Observed, Railway, lives
 from estimation.trend.fleet import fleet_priors, own_wear
 from estimation.trend.trend import refresh
 from estimation.values.trend import TrendPoint, WearTrend
@@ -59,7 +60,9 @@ def in_fleets(observed: Sequence[Observed]) -> list[WearTrend]:
     for numbers in fleets.values():
         said = fleet_priors([own_wear(observed[n].x, observed[n].value, observed[n].noise, 0.0) for n in numbers])
         for n, fleet in zip(numbers, said, strict=True):
-            trends[n] = refresh(trend_points(observed[n]), observed[n].limit, fleet=fleet, origin_km=0.0)
+            one = observed[n]
+            measured = [TrendPoint(km, 0, value, std) for km, value, std in one.measured.tolist()]
+            trends[n] = refresh(trend_points(one), one.limit, fleet=fleet, origin_km=0.0, measured=measured)
     return [trends[number] for number in range(len(observed))]
 
 
@@ -127,8 +130,9 @@ ROWS: Mapping[str, tuple[Railway, Reach]] = {
     "fleets alike": (ALIKE, Reach((LIVES_COVER, LIVES_TOLERATED), score=130_000.0)),
     "fleets mixed": (MIXED, Reach((LIVES_COVER, LIVES_TOLERATED), score=230_000.0)),
     "as the demo, limit 100,000 km ahead": (DEMO, Reach(width=50_000.0, slope=0.007)),
+    **{f"wide, profiles measured: {count}": (replace(WIDE, measured=count), Reach()) for count in (0, 1, 3)},
 }
-SEEDS_OF_DEMO = 20  # times the seeds: its railway is one fleet
+SEEDS_OF_DEMO = 100  # times the seeds: its railway is one fleet, whose scale all its wheelsets share
 
 
 def judged(railway: Railway, fitters: Mapping[str, Fitter], seeds: Sequence[int]) -> dict[str, Row]:

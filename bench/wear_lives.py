@@ -8,7 +8,7 @@ numbers of its wheelset, and a scale common to all of its line; all are honestly
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -27,6 +27,7 @@ SPANS = (4.5e3, 2e5)  # km, alike on a logarithmic scale: of some wheelsets litt
 CURVED_KM, RUN_IN_KM = (5e4, 4e5), (5e3, 3e4)  # within which wear saturates or accelerates; and runs in
 OUTLIERS = (0.05, 5.0, 20.0)  # share, smallest and largest in stds
 SEASON = (0.004, 0.012)
+MOST_MEASURED, MEASURED_STD, MEASURED_KM = 3, 0.006, 500.0  # profiles of a wheelset; off the point beside
 NODES = 4001  # of the way to the horizon
 STEP_KM = 1.0  # of a difference quotient
 
@@ -44,6 +45,7 @@ class Observed:
         noise: Of these, what has nothing in common with any other point (k,).
         constant_std: What all points of the wheelset have in common.
         scale_std: Relative; what all points of the line have in common.
+        measured: Mileage, value and std (m, 3) by measured profiles.
     """
 
     vehicle_class: str
@@ -57,6 +59,7 @@ class Observed:
     constant_std: float
     scale_std: float
     limit: float
+    measured: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +84,7 @@ class Railway:
         ahead: Where the limit is the true level of the wheelset so far ahead, in spans; None where it is of the fleet.
         ahead_km: The same in km.
         scatter: By how much stated noise is too small.
+        measured: How often the profiles of each wheelset were measured.
     """
 
     law: str = ""
@@ -96,6 +100,7 @@ class Railway:
     ahead: tuple[float, float] | None = None
     ahead_km: float | None = None
     scatter: float = 1.0
+    measured: int = 0
 
 
 ALIKE, MIXED = Railway(), Railway(mixed=True)
@@ -117,6 +122,10 @@ DEMO = Railway(
     ahead_km=1e5,
 )
 """As the demo: ten campaigns over 300,000 km, a class on one line."""
+
+
+WIDE = replace(ALIKE, constant_std=0.03, scale_std=0.05)
+"""Fleets whose levels err far more than their points scatter, as on unknown track."""
 
 
 def lives(railway: Railway, seed: int) -> list[Life]:
@@ -201,9 +210,18 @@ def _life(
         wrong = rng.random(count) < OUTLIERS[0]
         value[wrong] += rng.choice([-1.0, 1.0], wrong.sum()) * rng.uniform(*OUTLIERS[1:], wrong.sum()) * noise[wrong]
     std = np.sqrt(noise**2 + railway.constant_std**2 + (railway.scale_std * value) ** 2)
-    observed = Observed(*place, x, days, value, std, noise, railway.constant_std, railway.scale_std, limit)
+    # of a generator of its own: the same lives, measured or not
+    measured = _measured(x, level, rng.spawn(1)[0])[: railway.measured]
+    observed = Observed(*place, x, days, value, std, noise, railway.constant_std, railway.scale_std, limit, measured)
     now, before = level(np.array([span, span - STEP_KM]))
     return Life(observed, law, float(now), float(now - before) / STEP_KM, _reached(level, span, limit))
+
+
+def _measured(x: FloatArray, level: Curve, rng: np.random.Generator) -> FloatArray:
+    """Return profiles measured near some points (k,), in any order: mileage, value and std (m, 3)."""
+    at = np.maximum(0.0, rng.choice(x, MOST_MEASURED) + rng.uniform(-MEASURED_KM, MEASURED_KM, MOST_MEASURED))
+    value = level(at) + MEASURED_STD * rng.standard_normal(MOST_MEASURED)
+    return np.column_stack([at, value, np.full(MOST_MEASURED, MEASURED_STD)])
 
 
 def _weather(law: str, days: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -27,7 +27,7 @@ from estimation.worklist.row import NO_GEOMETRY, REPROFILED
 _NO_POINTS = (
     *("quantity", "slope_per_1000_km", "slope_per_year", "fitted", "limit", "probability_over_limit", "status"),
     *("reason", "converged", "step", "distance_to_limit_km", "date_of_limit_ns", "not_comparable", "few_behind"),
-    *("ahead_km", "over_ahead", "raise_probability", "fleet", "origin_km"),
+    *("ahead_km", "over_ahead", "raise_probability", "fleet", "origin_km", "calibration"),
 )
 
 
@@ -66,6 +66,10 @@ ForecastT = TypeVar("ForecastT", DistanceForecast, DateForecast)
 
 class TrendStep(Derived, of=values.TrendStep, without=("found_ns",)):
     """A sudden change of the indicator, which the trend begins behind."""
+
+
+class LevelCalibration(Derived, of=values.LevelCalibration, without=("measured",)):
+    """What measured profiles of the same wheels say of the error that all points have in common."""
 
 
 class TrendProvenance(Derived, of=TrendRecord, without=("wheelset", "baseline", "trend", "recorded_ns")):

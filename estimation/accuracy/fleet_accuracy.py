@@ -19,7 +19,7 @@ from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, coni
 from estimation.values.arrays import FloatArray
 from estimation.values.fields import Served
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry
-from estimation.values.quantities import Estimate, Status
+from estimation.values.quantities import Estimate, Status, standardised
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
 from estimation.values.trend import IdentityChange
@@ -199,14 +199,6 @@ def covers(estimated: Estimate, measured: Estimate) -> bool | None:
     difference = measured.value - estimated.value
     half = estimated.high - estimated.value if difference > 0.0 else estimated.value - estimated.low
     return abs(difference) <= math.hypot(half, NORMAL_95 * measured.std)
-
-
-def standardised(estimated: Estimate, measured: Estimate) -> float | None:
-    """Return estimate less measurement over the standard deviation of both; None where either is unknown."""
-    if None in (estimated.value, estimated.std, measured.value, measured.std):
-        return None
-    std = math.hypot(estimated.std or 0.0, measured.std or 0.0)
-    return ((estimated.value or 0.0) - (measured.value or 0.0)) / std if std > 0.0 else None
 
 
 @dataclass(frozen=True, slots=True)

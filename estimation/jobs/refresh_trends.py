@@ -6,24 +6,34 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 
+from estimation.accuracy.wheel_contact import wheel_contact
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.assumptions import identity_changes
+from estimation.jobs.steps.measured_wheelsets import MeasuredConicity, measured_conicities
 from estimation.storage import UnitOfWork
 from estimation.trend.change_point import CONICITY
-from estimation.trend.extrapolation import conicity_points
+from estimation.trend.extrapolation import SAME_AMPLITUDE, TrendPoints, conicity_points
 from estimation.trend.fleet import usual_wear
-from estimation.trend.parameters import CURVES, FLEET
+from estimation.trend.parameters import CALIBRATION, CURVES, FLEET
 from estimation.trend.trend import TrendParameters, behind_step, newest_step, refresh, with_step
 from estimation.values.geometry import GEOMETRY, IntervalConicities
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.runs import Facet
-from estimation.values.trend import FLEET_WEAR, FleetWear, WearTrend, baseline_part, since_change
+from estimation.values.trend import (
+    FLEET_WEAR,
+    FleetWear,
+    TrendPoint,
+    TrendStep,
+    WearTrend,
+    baseline_part,
+    since_change,
+)
 from estimation.values.trend import TREND as TRENDS
 
-NUMBERS = (CURVES, CONICITY, FLEET)
+NUMBERS = (CURVES, CONICITY, FLEET, CALIBRATION)
 METHOD = made_from(*NUMBERS)[:16]
 
 
@@ -46,12 +56,14 @@ class TrendInputs:
     limit: float | None  # of the conicity at 3 mm, in the vehicle it runs in or ran in last; None where there is none
     fleet: FleetWear  # what is known of its wear beforehand
     raise_probability: float | None = None  # of the rule that has the limit
+    measured: tuple[MeasuredConicity, ...] = ()  # since it runs where it runs, with the sensors that are there
 
 
 def load(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mapping[str, TrendInputs]:
     """Return what the trends of some wheelsets are made from."""
     vehicles = vehicles_of(unit, serials)
     fleets = beforehand(unit, serials)
+    measured = _measured(unit, serials, context.settings.estimation.interval_km)
     inputs = {}
     for serial, (wheelset, history) in histories(unit, serials, context).items():
         vehicle = vehicles[serial][0] if serial in vehicles else None
@@ -63,8 +75,26 @@ def load(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mappi
             limit=None if rule is None or vehicle is None else rule.limit_for(vehicle),
             fleet=fleets[serial],
             raise_probability=None if rule is None else rule.raise_probability,
+            measured=measured.get(serial, ()),
         )
     return inputs
+
+
+def _measured(
+    unit: UnitOfWork, serials: Sequence[str], interval_km: float
+) -> Mapping[str, tuple[MeasuredConicity, ...]]:
+    """Return what was measured of those wheelsets that were, of which all that estimates have in common still holds."""
+    serials = sorted(unit.registry.newest_measurement_of(serials))
+    changes, mounted = identity_changes(unit, serials), unit.registry.mountings_of(serials)
+    sensors = unit.sensor_changes.newest({mountings[-1].vehicle for mountings in mounted.values()}) if mounted else {}
+    found = {}
+    for wheelset in unit.registry.wheelsets_of(serials):
+        since = [changes[wheelset.serial].after_ns] if wheelset.serial in changes else []
+        for last in mounted.get(wheelset.serial, ())[-1:]:
+            since += [last.from_ns, sensors.get((last.vehicle, last.axle), last.from_ns)]
+        since_ns = max(since, default=0)
+        found[wheelset.serial] = measured_conicities(unit, wheelset, wheel_contact, interval_km, since_ns)
+    return found
 
 
 def histories(
@@ -108,7 +138,9 @@ def compute(inputs: TrendInputs) -> Outcome[WearTrend]:
     if inputs.limit is None:
         return Outcome(counted="without_limit")
     history = inputs.history
-    trend = trend_of(history.conicities, inputs.limit, history.parameters, inputs.fleet, history.turned_km)
+    trend = trend_of(
+        history.conicities, inputs.limit, history.parameters, inputs.fleet, history.turned_km, inputs.measured
+    )
     if inputs.raise_probability is not None:
         trend = replace(trend, raise_probability=inputs.raise_probability)
     part = Part(
@@ -128,12 +160,14 @@ def trend_of(
     parameters: TrendParameters,
     fleet: FleetWear | None = None,
     turned_km: float | None = None,
+    measured: Sequence[MeasuredConicity] = (),
 ) -> WearTrend:
     """Return the trend of the conicities of intervals, since their newest step, against the limit at 3 mm.
 
     Args:
         fleet: What is known of the wear beforehand; None for nothing.
         turned_km: Mileage of the last reprofiling; None where nobody knows it.
+        measured: By profiles of the same wheels.
     """
     step = newest_step(records, parameters)
     chosen = conicity_points(behind_step(records, step), fleet)
@@ -146,8 +180,21 @@ def trend_of(
         not_comparable=chosen.not_comparable,
         fleet=fleet,
         origin_km=turned_km if step is None else step.before_km,
+        measured=_measured_points(measured, chosen, step),
     )
     return trend if step is None else with_step(trend, step)
+
+
+def _measured_points(
+    measured: Sequence[MeasuredConicity], chosen: TrendPoints, step: TrendStep | None
+) -> list[TrendPoint]:
+    """Return what was measured behind a step, at the amplitude of the points."""
+    return [
+        TrendPoint(item.mileage_km, item.at_ns, known.value, known.std)
+        for item in measured
+        for known in item.known
+        if abs(known.amplitude - chosen.amplitude) < SAME_AMPLITUDE and (step is None or item.at_ns >= step.after_ns)
+    ]
 
 
 TREND = Stage(
@@ -155,7 +202,7 @@ TREND = Stage(
     job="refresh_trends",
     kind=TRENDS.subject,
     facets=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage, FLEET_WEAR.stage),
-    settings=lambda settings: (settings.trend, settings.rules.version),
+    settings=lambda settings: (settings.trend, settings.rules.version, settings.estimation.interval_km),
     load=load,
     compute=compute,
     counted=Counted(looked="wheelsets", changed="refreshed", same="unchanged", more=("without_limit",)),

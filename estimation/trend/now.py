@@ -162,8 +162,12 @@ def limit_state(geometry: WheelsetGeometry, trend: WearTrend | None) -> LimitSta
     beyond = extrapolated(below_limit(geometry), fleet=fleet) if extrapolates else None
     last: list[Estimate] = []
     if trend is not None and conicity is fitted:
-        pairs = zip(trend.value[-SCALE.last_points :].tolist(), trend.std[-SCALE.last_points :].tolist(), strict=True)
-        last = [with_interval(value, std) for value, std in pairs]
+        value, std = trend.value, trend.std
+        if trend.calibration is not None and trend.calibration.profiles:
+            # what is left in common is known better than how wheelsets like it go on beyond
+            value, std, beyond = value + trend.calibration.shift, np.hypot(trend.noise, trend.calibration.std), None
+        pairs = zip(value[-SCALE.last_points :].tolist(), std[-SCALE.last_points :].tolist(), strict=True)
+        last = [with_interval(*pair) for pair in pairs]
     left_open = any(
         CURVES.least_amplitude - SAME_AMPLITUDE < place < LIMIT_AMPLITUDE + SAME_AMPLITUDE
         and code_of(estimate.reason) is ReasonCode.CONICITY_OPEN

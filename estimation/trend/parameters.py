@@ -50,7 +50,6 @@ class CurveParameters:
     fit_rounds: int = 25
     probability_margin: float = 1e-9  # far more than rounding: what comes as near is computed again by itself
     share_tolerance: float = 1e-4  # far below what a result shows
-    horizon_points: int = 160  # at which a limit may have been reached
     bend_nodes: tuple[float, ...] = (0.01, 0.15, 0.4, 1.0)  # change of slope over the observed span, in slopes
     bend_prior: tuple[float, ...] = (0.4, 0.2, 0.2, 0.2)
     lengths_alone: tuple[float, ...] = (1.0,)  # over which a change of slope dies out, in observed spans
@@ -68,7 +67,7 @@ class CurveParameters:
     growing_km: float = 1.0e5  # over which it grows
     least_growing: float = 1e-9  # chance of it, below which moments are those at it
     last_shared: int = 3  # newest points whose common error counts
-    points_ahead: int = 61  # distances to the horizon at which the probability is kept
+    points_ahead: int = 61  # distances to the horizon at which a limit may have been reached
 
 
 CURVES = CurveParameters()
@@ -82,7 +81,8 @@ class FleetParameters:
     lengths_km: tuple[float, ...] = (math.inf, 2.0e4, 8.0e4, 3.2e5, math.inf)
     change_units: tuple[float, ...] = (1e-7, 1.0, 1.0, 1.0, 1e-5)  # of changes; of growing ones 1/km
     length_prior: tuple[float, ...] = (0.3, 0.15, 0.15, 0.2, 0.2)
-    wanderings: tuple[float, ...] = (5e-11, 3e-10, 1.5e-9, 6e-9)  # per km, of the rate, per square root of km
+    # per km, of the rate, per square root of km; by four times the last, usual wear would double within 30,000 km
+    wanderings: tuple[float, ...] = (5e-11, 3e-10, 1.5e-9)
     rate: float = 1.0e-6  # per km, of usual wear
     rate_std: float = 1.2e-6
     change_std: float = 1.0e-6
@@ -105,3 +105,17 @@ class FleetParameters:
 
 
 FLEET = FleetParameters()
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationParameters:
+    """Numbers of what measured profiles say of a trend."""
+
+    within_km: float = 1000.0  # of the point beside a measured profile: in that distance a profile hardly wears
+    least_std: float = 0.005  # of a measured conicity: rails are taken as new
+    contradicting_stds: float = 4.0  # of point and measurement, from which on a measured profile is not believed
+    alike_sizes: float = 0.7  # of logarithms of stds, over which errors lose what they have in common
+    least_size: float = 1e-6  # of a std
+
+
+CALIBRATION = CalibrationParameters()

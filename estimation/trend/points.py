@@ -23,10 +23,14 @@ class PointColumns:
     noise: FloatArray  # part of it that differs from point to point
 
     @property
+    def shared(self) -> FloatArray:
+        """Of each point the std of what its error has in common with others (k,)."""
+        return np.asarray(np.sqrt(np.maximum(self.std**2 - self.noise**2, 0.0)))
+
+    @property
     def shared_std(self) -> float:
         """What the errors of all points have in common, as it is at the newest: it may grow with the value."""
-        last = slice(-CURVES.last_shared, None)
-        return float(np.median(np.sqrt(np.maximum(self.std[last] ** 2 - self.noise[last] ** 2, 0.0))))
+        return float(np.median(self.shared[-CURVES.last_shared :]))
 
 
 def columns_of(points: Sequence[TrendPoint], smallest_std: float) -> PointColumns:

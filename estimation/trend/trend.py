@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
+from estimation.trend.calibration import SharedError, shared_error
 from estimation.trend.change_point import CONICITY, ChangePoint, Series, newest_change
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, by_amplitude
 from estimation.trend.now import QUANTILES, probability_above
@@ -95,12 +96,14 @@ def refresh(
     not_comparable: Reason | None = None,
     fleet: FleetWear | None = None,
     origin_km: float | None = None,
+    measured: Sequence[TrendPoint] = (),
 ) -> WearTrend:
     """Return the trend of the points, in whatever order they come.
 
     Args:
         fleet: What is known of the wear of the wheelset beforehand; None for nothing.
         origin_km: Mileage at which the profile began to wear; None for that of the first point.
+        measured: Values by measured profiles of the same wheels, at the mileages of estimates.
         not_comparable: Why the points cannot be compared with the limit, which then nothing is said about; None where
             they can.
 
@@ -116,7 +119,7 @@ def refresh(
         code = lacking.code if note is None or len(columns.value) else note.code
         trend = _unestimated(columns, limit, quantity, replace(why, code=code))
     else:
-        trend = _estimated(columns, limit, params, quantity, note, fleet, origin_km)
+        trend = _estimated(columns, limit, params, quantity, note, fleet, origin_km, measured)
     if note is not None and note.code is ReasonCode.AMPLITUDE_EXTRAPOLATED and trend.fitted.value is not None:
         trend = replace(trend, fitted=replace(trend.fitted, reason=note))
     if not_comparable is None:
@@ -183,10 +186,13 @@ def _estimated(
     note: Reason | None,
     fleet: FleetWear | None,
     origin_km: float | None,
+    measured: Sequence[TrendPoint],
 ) -> WearTrend:
     prior = None if fleet is None else fleet.components
     by_distance = fit_recent(points.mileage_km, points.value, points.noise, params, prior, origin_km)
-    by_distance = _believed(by_distance, points, params, None if prior is None else CURVES.growing_km)
+    level_now = float(by_distance.weight @ by_distance.level)
+    error = shared_error(points, level_now, params.scale_std, measured, by_distance.share)
+    by_distance = _believed(by_distance, error, None if prior is None else CURVES.growing_km)
     count = float(by_distance.share.sum())
     order = np.argsort(points.measured_ns, kind="stable")
     since, by_date = points.measured_ns[order] - points.measured_ns.max(), None
@@ -196,13 +202,15 @@ def _estimated(
         km_per_year = float((points.mileage_km[-1] - points.mileage_km[0]) / (years[-1] - years[0]))
         of_years, origin = _by_date(km_per_year, float(points.mileage_km[0]), float(years[0]), prior, origin_km)
         by_date = fit_recent(years, value, noise, params, of_years, origin)
-        by_date = _believed(by_date, points, params, None if prior is None else CURVES.growing_km / km_per_year)
+        by_date = _believed(by_date, error, None if prior is None else CURVES.growing_km / km_per_year)
         slope_per_year = by_date.slope_now().estimate(count)
-        ahead = _forecast(by_date, limit, params.horizon_years)
+        reached, _ = _forecast(by_date, limit, params.horizon_years)
         last = int(points.measured_ns.max())
-        date = Forecast(*(None if y is None else last + round(y * YEAR_NS) for y in (ahead.p10, ahead.p50, ahead.p90)))
-    level, distance = by_distance.level_now(), _forecast(by_distance, limit, params.horizon_km)
-    ahead_km, over_ahead = _ahead(by_distance, limit, distance, params.horizon_km)
+        date = Forecast(*(None if year is None else last + round(year * YEAR_NS) for year in astuple(reached)))
+    level, (distance, (ahead_km, over_ahead)) = (
+        by_distance.level_now(),
+        _forecast(by_distance, limit, params.horizon_km),
+    )
     return replace(
         _unestimated(points, limit, quantity, note),
         slope_per_1000_km=by_distance.slope_now().estimate(count).scaled(1000.0),
@@ -217,18 +225,16 @@ def _estimated(
         over_ahead=over_ahead,
         fleet=fleet,
         origin_km=origin_km,
+        calibration=error.measured,
     )
 
 
-def _believed(curve: WearCurve, points: PointColumns, params: TrendParameters, growing: float | None) -> WearCurve:
-    """Return the curve with the errors that all points have in common: of scale, and of the level.
+def _believed(curve: WearCurve, error: SharedError, growing: float | None) -> WearCurve:
+    """Return the curve less the errors that all points have in common.
 
     ``growing`` is the distance over which the indicator is known to grow; None where nothing is known beforehand.
     """
-    curve = curve if growing is None else curve.growing(growing, CURVES.falling_share)
-    shared = points.shared_std
-    of_scale = min(shared, params.scale_std * abs(float(curve.weight @ curve.level)))
-    return curve.scaled(params.scale_std, of_scale).shifted(float(np.sqrt(shared**2 - of_scale**2)))
+    return (curve if growing is None else curve.growing(growing, CURVES.falling_share)).less(error)
 
 
 def _by_date(
@@ -243,16 +249,14 @@ def _by_date(
     return None if prior is None else [component.per(km_per_year) for component in prior], origin
 
 
-def _ahead(curve: WearCurve, limit: float, distance: Forecast, horizon_km: float) -> tuple[FloatArray, FloatArray]:
-    """Return distances from the last point and the probabilities of being over the limit there."""
-    # the quantiles are among them: in between it is interpolated, and at these it is exact
-    quantiles = [far for far in (distance.p10, distance.p50, distance.p90) if far]
-    ahead_km = np.unique([*(horizon_km * np.linspace(0.0, 1.0, CURVES.points_ahead) ** 2), *quantiles])
-    return ahead_km, curve.above_after(ahead_km, limit)
-
-
-def _forecast(curve: WearCurve, limit: float, horizon: float) -> Forecast:
-    return Forecast(*curve.reached_with(limit, list(QUANTILES.values()), horizon))
+def _forecast(curve: WearCurve, limit: float, horizon: float) -> tuple[Forecast, tuple[FloatArray, FloatArray]]:
+    """Return where the limit is reached, and distances from the last point with the probabilities of being over it."""
+    ahead = curve.ahead(limit, horizon)
+    reached = Forecast(*(curve.reached_with(limit, probability, ahead) for probability in QUANTILES.values()))
+    # the quantiles are among the distances: in between it is interpolated, and at these it is exact
+    further = np.array([distance for distance in astuple(reached) if distance])
+    distances, first = np.unique(np.concatenate([ahead[0], further]), return_index=True)
+    return reached, (distances, np.concatenate([ahead[1], curve.above_after(further, limit)])[first])
 
 
 _Covered = tuple[IntervalConicities, Mapping[int, KnownConicity]]  # with its conicities by amplitude in micrometres
@@ -348,7 +352,9 @@ def trend_up_to(record: TrendRecord, mileage_km: float, parameters: TrendParamet
     until = int(np.searchsorted(now.mileage_km, mileage_km, side="right"))
     columns = (now.mileage_km, now.measured_ns, now.value, now.std, now.noise)
     points = tuple(column[:until].tobytes() for column in columns)
-    then = _refitted(points, now.limit, now.quantity, (now.fleet, now.origin_km), parameters)
+    measured = () if now.calibration is None else now.calibration.measured
+    measured = tuple(point for point in measured if point.mileage_km <= mileage_km)
+    then = _refitted(points, now.limit, now.quantity, (now.fleet, now.origin_km, measured), parameters)
     if now.step is not None:
         then = with_step(then, now.step)
     return replace(record, trend=replace(then, raise_probability=now.raise_probability))
@@ -359,11 +365,11 @@ def _refitted(
     points: tuple[bytes, ...],
     limit: float,
     quantity: str,
-    beforehand: tuple[FleetWear | None, float | None],
+    beforehand: tuple[FleetWear | None, float | None, tuple[TrendPoint, ...]],
     parameters: TrendParameters,
 ) -> WearTrend:
     kinds = (np.float64, np.int64, np.float64, np.float64, np.float64)
     columns = [np.frombuffer(column, kind).tolist() for column, kind in zip(points, kinds, strict=True)]
     rows = [TrendPoint(*row) for row in zip(*columns, strict=True)]
-    fleet, origin_km = beforehand
-    return refresh(rows, limit, parameters, quantity=quantity, fleet=fleet, origin_km=origin_km)
+    fleet, origin_km, measured = beforehand
+    return refresh(rows, limit, parameters, quantity=quantity, fleet=fleet, origin_km=origin_km, measured=measured)

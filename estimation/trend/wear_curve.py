@@ -25,6 +25,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
+from estimation.trend.calibration import SharedError
 from estimation.trend.parameters import CURVES
 from estimation.trend.wear_grid import Counted, ScaledPoints, robust, scaled_points
 from estimation.values.arrays import FloatArray
@@ -47,21 +48,14 @@ class WearCurve:
     share: FloatArray  # (k,) lambda: what each point counts, 1 for a good one
     converged: bool = True  # whether the shares stopped changing
 
-    def shifted(self, std: float) -> WearCurve:
-        """Return the curve with an error of that standard deviation that all its points have in common."""
-        if std == 0.0:
-            return self
-        covariance = self.covariance.copy()
-        covariance[:, 0, 0] += std**2
-        return replace(self, covariance=covariance)
-
-    def scaled(self, std: float, level_std: float = 0.0) -> WearCurve:
-        """Return the curve with a relative error of that standard deviation that all its slopes have in common.
-
-        ``level_std`` is what the level has of the same error.
-        """
-        off = np.stack([np.full_like(self.slope, level_std), std * self.slope, std * self.damped], axis=1)
-        return replace(self, covariance=self.covariance + off[:, :, None] * off[:, None, :])
+    def less(self, error: SharedError) -> WearCurve:
+        """Return the curve less the error that all its points have in common, as far as that is known."""
+        off = np.zeros((len(self.weight), 3, 2))
+        off[:, 0] = 1.0, error.of_scale
+        off[:, 1, 1], off[:, 2, 1] = error.scale_std * self.slope, error.scale_std * self.damped
+        level, slope, damped = np.stack(self._means) - (off @ error.mean).T
+        covariance = self.covariance + off @ error.covariance @ off.transpose(0, 2, 1)
+        return replace(self, level=level, slope=slope, damped=damped, covariance=covariance)
 
     def growing(self, ahead: float, falling_share: float) -> WearCurve:
         """Return the curve of an indicator that grows: whose slope now and ``ahead`` is below 0 in a small share only.
@@ -117,26 +111,28 @@ class WearCurve:
     def _after(self, distances: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and std (n, m) of the level of each node at distances (n,) after the last point."""
         lengths, which = np.unique(self.length, return_inverse=True)
-        far, later = distances[:, None], _damped(distances[:, None], lengths)[:, which]
-        C = self.covariance
-        mean = self.level + far * self.slope + later * self.damped
-        of_slope = C[:, 1, 1] * far + 2.0 * (C[:, 0, 1] + C[:, 1, 2] * later) + self.wandering**2 * (far**2 / 3.0)
-        variance = C[:, 0, 0] + far * of_slope + later * (C[:, 2, 2] * later + 2.0 * C[:, 0, 2])
+        means, C = np.stack(self._means), self.covariance.reshape(-1, 9)
+        mean, variance = np.empty((2, len(distances), len(self.weight)))
+        for number, length in enumerate(lengths.tolist()):
+            of = which == number
+            effects = np.column_stack([np.ones(len(distances)), distances, _damped(distances, length)])
+            pairs = (effects[:, :, None] * effects[:, None, :]).reshape(-1, 9)
+            mean[:, of], variance[:, of] = effects @ means[:, of], pairs @ C[of].T
+        variance += (distances**3 / 3.0)[:, None] * self.wandering**2
         return mean, np.sqrt(np.maximum(variance, 0.0))
 
     def reaches(self, limit: float, probability: float, horizon: float) -> float | None:
         """Return the distance after which ``limit`` has been reached with ``probability``; None beyond the horizon."""
-        return self.reached_with(limit, [probability], horizon)[0]
+        return self.reached_with(limit, probability, self.ahead(limit, horizon))
 
-    def reached_with(self, limit: float, probabilities: Sequence[float], horizon: float) -> list[float | None]:
-        """Return what :meth:`reaches` does of each of some probabilities."""
-        distances = horizon * np.linspace(0.0, 1.0, CURVES.horizon_points + 1) ** 2
-        above = self.above_after(distances, limit)
-        return [self._reaches(limit, probability, horizon, (distances, above)) for probability in probabilities]
+    def ahead(self, limit: float, horizon: float) -> tuple[FloatArray, FloatArray]:
+        """Return distances (n,) up to the horizon and the probabilities that the level is above a limit there."""
+        distances = horizon * np.linspace(0.0, 1.0, CURVES.points_ahead) ** 2
+        return distances, self.above_after(distances, limit)
 
-    def _reaches(
-        self, limit: float, probability: float, horizon: float, grid: tuple[FloatArray, FloatArray]
-    ) -> float | None:
+    def reached_with(self, limit: float, probability: float, ahead: tuple[FloatArray, FloatArray]) -> float | None:
+        """Return what :meth:`reaches` does, of what is ahead."""
+
         # the probability of having reached the limit at a distance is that of the level being above it there or at any
         # shorter distance looked at (its running maximum), as in Fieller's interval for a ratio
         def short(distance: float) -> float:
@@ -144,11 +140,11 @@ class WearCurve:
 
         if short(0.0) >= 0.0:
             return 0.0
-        distances, above = grid
+        distances, above = ahead
         for i in np.flatnonzero(above >= probability - CURVES.probability_margin):
             before, distance = float(distances[i - 1]), float(distances[i])
             if i > 0 and short(distance) >= 0.0:
-                return float(brentq(short, before, distance, xtol=1e-6 * horizon))
+                return float(brentq(short, before, distance, xtol=1e-6 * float(distances[-1])))
         return None
 
     def above_after(self, distances: FloatArray, limit: float) -> FloatArray:
@@ -202,9 +198,9 @@ def _unscale(points: ScaledPoints, counted: Counted) -> WearCurve:
     )
 
 
-def _damped(distance: FloatArray, length: FloatArray) -> FloatArray:
-    """Return the integral of a change of slope that is 0 at 0 and goes to 1 over a length, or grows as the distance."""
+def _damped(distance: FloatArray, length: float) -> FloatArray:
+    """Return the integral (n,) of a change of slope from 0 that goes to 1 over a length, or grows as the distance."""
+    if np.isinf(length):
+        return np.asarray(0.5 * distance**2)
     u = distance / length
-    return np.asarray(
-        np.where(np.isinf(length), 0.5 * distance**2, np.where(np.isinf(length), 0.0, length) * (u - 1.0 + np.exp(-u)))
-    )
+    return np.asarray(length * (u - 1.0 + np.exp(-u)))

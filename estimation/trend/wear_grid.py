@@ -7,7 +7,7 @@ deviation; all nodes are solved together.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
@@ -81,7 +81,8 @@ def robust(points: ScaledPoints, prior: Sequence[WearComponent] | None) -> Count
         share = update
         if converged:
             break
-    return Counted(share, shapes, solve(points, share, scatter, scatter_prior, shapes), converged)
+    nodes = solve(points, share, scatter, scatter_prior, shapes)
+    return Counted(share, shapes, over_scatter(nodes), converged)
 
 
 def scaled_points(x: FloatArray, value: FloatArray, std: FloatArray, origin: float | None) -> ScaledPoints:
@@ -205,6 +206,7 @@ class Nodes:
     beta: FloatArray  # (m, 3) of level, rate and change
     covariance: FloatArray  # (m, 3, 3)
     shape: IntArray  # (m,) number of it
+    knee: IntArray  # (m,) number of its knot; 0 for none
     fitted: FloatArray  # (k,) mean curve at the points
     scatter: float  # mean of tau^2
 
@@ -246,8 +248,28 @@ def solve(
         beta=beta[s, n, :3] + shift[:, None] * column,
         covariance=C[s, n, :3, :3] + none[:, None, None] * column[:, :, None] * column[:, None, :],
         shape=n,
+        knee=knee,
         fitted=np.einsum("lki,li->k", X, of_length),
         scatter=float(weight.sum(axis=(1, 2)) @ scatter**2),
+    )
+
+
+def over_scatter(nodes: Nodes) -> Nodes:
+    """Return nodes that differ in scatter alone as one normal, by its moments: a forecast takes as long as they are."""
+    _, first, which = np.unique([nodes.shape, nodes.knee], axis=1, return_index=True, return_inverse=True)
+    weight: FloatArray = np.bincount(which, nodes.weight).astype(np.float64)
+    part = nodes.weight / weight[which]
+
+    def mean(values: FloatArray) -> FloatArray:
+        sums = np.zeros((len(weight), *values.shape[1:]))
+        np.add.at(sums, which, (values.T * part).T)
+        return sums
+
+    beta = mean(nodes.beta)
+    off = nodes.beta - beta[which]
+    covariance = mean(nodes.covariance + off[:, :, None] * off[:, None, :])
+    return replace(
+        nodes, weight=weight, beta=beta, covariance=covariance, shape=nodes.shape[first], knee=nodes.knee[first]
     )
 
 

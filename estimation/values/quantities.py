@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -117,3 +118,11 @@ def log10_chance(statistic: float, degrees: float) -> float:
         from scipy.special import chdtrc  # noqa: PLC0415 - the same
 
         return float(np.log10(chdtrc(degrees, statistic)))
+
+
+def standardised(estimated: Estimate, measured: Estimate) -> float | None:
+    """Return estimate less measurement over the standard deviation of both; None where either is unknown."""
+    if None in (estimated.value, estimated.std, measured.value, measured.std):
+        return None
+    std = math.hypot(estimated.std or 0.0, measured.std or 0.0)
+    return ((estimated.value or 0.0) - (measured.value or 0.0)) / std if std > 0.0 else None

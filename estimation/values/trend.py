@@ -24,6 +24,28 @@ from estimation.values.runs import History, ResultKind, SubjectKind
 
 
 @dataclass(frozen=True, slots=True)
+class TrendPoint:
+    """One value of the indicator, from one stretch of running."""
+
+    mileage_km: float  # since the wheelset was new
+    measured_ns: int
+    value: float
+    std: float
+    noise: float | None = None  # part of it that differs from point to point; None is all of it
+
+
+@dataclass(frozen=True, slots=True)
+class LevelCalibration:
+    """What measured profiles of the same wheels say of the error that all points of a trend have in common."""
+
+    profiles: Annotated[int, Served("Measured profiles that are used.")]
+    contradicting: Annotated[int, Served("Those that are not: they differ by more than 4 stds of both.")]
+    shift: Annotated[float, Served("By how much they move the level at the last point.", "shift_1")]
+    std: Annotated[float, Served("Of the error that is left in common to all points.", "std_1")]
+    measured: tuple[TrendPoint, ...]  # all of them, at the mileage of the estimate beside each
+
+
+@dataclass(frozen=True, slots=True)
 class TrendStep:
     """A sudden change of the indicator that wear does not explain; what was recorded within it is of neither side."""
 
@@ -139,6 +161,10 @@ class WearTrend(FrozenArrays):
     fleet: FleetWear | None = None  # what was known of its wear beforehand; None for nothing
     origin_km: float | None = None  # mileage at which the profile began to wear; None is that of the first point
     raise_probability: float = 0.9  # of the rule on the limit: from it on the last points count by themselves
+    calibration: Annotated[
+        LevelCalibration | None,
+        Served("What measured profiles say of level and scale; null without one. `points` are as estimated."),
+    ] = None
 
     @property
     def head(self) -> JsonValue:
@@ -290,17 +316,6 @@ def on_one_side(change: IdentityChange | None, first_ns: int, second_ns: int) ->
         return True
     before = first_ns <= change.before_ns and second_ns <= change.before_ns
     return before or (first_ns >= change.after_ns and second_ns >= change.after_ns)
-
-
-@dataclass(frozen=True, slots=True)
-class TrendPoint:
-    """One value of the indicator, from one stretch of running."""
-
-    mileage_km: float  # since the wheelset was new
-    measured_ns: int
-    value: float
-    std: float
-    noise: float | None = None  # part of it that differs from point to point; None is all of it
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from alert_evidence_cases import AT, ESTIMATE, STEP, TREND, UNEXPLAINED
 
 from api.schemas.trend import trend
 from api.times import to_rfc3339
-from estimation.values.trend import TrendRecord
+from estimation.values.trend import LevelCalibration, TrendPoint, TrendRecord
 
 
 def test_a_step_is_served_with_its_place_size_and_probability() -> None:
@@ -37,3 +37,12 @@ def test_a_step_is_served_with_its_place_size_and_probability() -> None:
 
 def test_a_trend_that_begins_with_its_profile_has_none() -> None:
     assert trend(TrendRecord("W", 0, TREND, "d", "v", AT), None, None).step is None
+
+
+def test_what_measured_profiles_say_of_its_level_is_served() -> None:
+    said = LevelCalibration(2, 1, -0.02, 0.006, (TrendPoint(1.0, AT, 0.3, 0.006),))
+    record = TrendRecord("W", 0, replace(TREND, calibration=said), "d", "v", AT)
+    shown = trend(record, None, None).model_dump(mode="json")
+    assert shown["calibration"] == {"profiles": 2, "contradicting": 1, "shift_1": -0.02, "std_1": 0.006}
+    assert "calibration" not in shown["points"]
+    assert trend(replace(record, trend=TREND), None, None).calibration is None

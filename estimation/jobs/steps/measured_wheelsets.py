@@ -15,7 +15,7 @@ from estimation.jobs.steps.assumptions import ClassLookup, last_break
 from estimation.storage import UnitOfWork
 from estimation.track.panel.basis import MeasuredCurve, measured_curve
 from estimation.track.passes import ProfileLife
-from estimation.values.geometry import GeometryRecord
+from estimation.values.geometry import GeometryRecord, KnownConicity
 from estimation.values.reasons import Reason
 from estimation.values.registry import WheelsetRecord
 from estimation.values.track import AlignmentSource, TrackSectionRecord, evidence_of_measurement, evidence_of_version
@@ -91,6 +91,45 @@ def measurement_name(item: MeasuredProfiles) -> str:
 
 
 ContactSearch = Callable[[WheelPair, Sequence[RailShare]], WheelContact | Reason]
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredConicity:
+    """The conicities that follow from measured profiles by amplitude, and the mileage of the estimate beside them."""
+
+    mileage_km: float
+    at_ns: int
+    known: tuple[KnownConicity, ...]
+
+
+def measured_conicities(
+    unit: UnitOfWork, wheelset: WheelsetRecord, contact: ContactSearch, interval_km: float, since_ns: int
+) -> tuple[MeasuredConicity, ...]:
+    """Return the conicities of the present profile as measured, where estimates since a time are beside them.
+
+    One that the estimate itself rests on is left out, and what is damaged in the store.
+    """
+    try:
+        stored = unit.registry.measured_profiles(wheelset.serial)
+    except DamagedError:
+        return ()
+    present = [item for item in stored if baseline_at(wheelset, item.at_ns)[0] == len(wheelset.reprofilings)]
+    asked = [item for item in present if item.at_ns >= since_ns]
+    intervals = unit.geometries.intervals(wheelset.serial) if asked else ()
+    since = [record for record in intervals if record.from_ns >= since_ns]
+    found = []
+    for item in asked:
+        record = estimate_of_date(item, wheelset, since, interval_km).record
+        if record is None or rests_on(unit, record, present):
+            continue
+        wheels = WheelPair(item.left, item.right, wheelset.nominal_radius_m, item.std)
+        sections = (section for section in unit.tracks.sections() if section.code in record.track_versions)
+        curves = contact(wheels, _by_rails(Counter(sections)))
+        if not isinstance(curves, Reason):
+            pairs = zip(curves.amplitude.tolist(), curves.conicity, strict=True)
+            known = tuple(KnownConicity(a, e.value, e.std, e.std) for a, e in pairs if e.value is not None and e.std)
+            found.append(MeasuredConicity(record.mileage_km, item.at_ns, known))
+    return tuple(found)
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ from estimation.trend.now import LimitState, limit_state
 from estimation.values.alerts import Finding, Severity
 from estimation.values.quantities import Estimate, Forecast
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.trend import LevelCalibration
 
 LIMIT = 0.4
 RULE, LIMIT_RULE = MeasureRule(), ConicityLimitRule()
@@ -193,3 +194,17 @@ def test_the_last_points_are_those_of_a_trend_that_a_limit_is_held_against() -> 
     geometry = geometry_of(conicity=0.6)
     assert [one.value for one in limit_state(geometry, trend_of()).last] == [0.3, 0.3]
     assert not limit_state(geometry, None).last
+
+
+def test_a_trend_that_measured_profiles_moved_is_held_against_the_limit_as_moved() -> None:
+    covers_2_mm = geometry_of(conicity=0.36)
+    covers_2_mm = replace(
+        covers_2_mm, amplitude=np.array([1e-3, 2e-3]), conicity=covers_2_mm.conicity[:2], reported_amplitude=2e-3
+    )
+    plain = replace(trend_of(), std=np.full(3, 0.05))
+    for profiles, last, std in ((1, 0.26, 0.0125), (0, 0.3, 0.05)):
+        said = LevelCalibration(profiles, 1 - profiles, -0.04 * profiles, 0.0075, ())
+        state = limit_state(covers_2_mm, replace(plain, calibration=said))
+        assert [point.value for point in state.last] == pytest.approx([last] * 2)
+        assert [point.std for point in state.last] == pytest.approx([std] * 2)
+        assert (state.beyond is None) is bool(profiles)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from estimation.trend.calibration import SharedError
 from estimation.trend.now import probability_above, probability_within
 from estimation.trend.trend import TrendParameters, refresh
 from estimation.trend.wear_curve import fit_wear_curve
@@ -17,6 +18,7 @@ from estimation.values.trend import TrendPoint, WearTrend
 
 YEAR_NS = round(365.25 * 24 * 3600 * 1e9)
 START_NS = 1_700_000_000 * 10**9
+OF_SCALE = SharedError(np.zeros(2), np.diag([0.0, 1.0]), 0.0, TrendParameters().scale_std)
 NOTE = Reason(ReasonCode.OTHER_AMPLITUDE, "at 2 mm")
 
 
@@ -94,7 +96,7 @@ def test_slopes_are_per_thousand_kilometres_and_per_year() -> None:
     given = points(*KM, std=1e-4)
     trend = refresh(given[::-1], 2.0)
     curve = fit_wear_curve(np.array(KM), np.array([p.value for p in given]), np.full(12, 1e-4))
-    slope = curve.scaled(TrendParameters().scale_std).slope_now().estimate(float(curve.share.sum()))
+    slope = curve.less(OF_SCALE).slope_now().estimate(float(curve.share.sum()))
     found = trend.slope_per_1000_km
     for one, other in (
         (found.value, slope.value),
@@ -115,7 +117,7 @@ def test_forecasts_are_the_tenth_the_half_and_nine_tenths() -> None:
     limit = given[-1].value + 0.06
     trend = refresh(given, limit)
     curve = fit_wear_curve(np.array(KM[:6]), np.array([p.value for p in given]), np.full(6, 5e-3))
-    curve = curve.scaled(TrendParameters().scale_std)
+    curve = curve.less(OF_SCALE)
     quantiles = trend.distance_to_limit_km
     for distance, probability in ((quantiles.p10, 0.1), (quantiles.p50, 0.5), (quantiles.p90, 0.9)):
         assert distance is not None

@@ -15,6 +15,7 @@ from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register,
 from bench.put_values import put_geometry, put_trend
 from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
+from estimation.contact.profiles import MeasuredProfiles, wheel_profile
 from estimation.jobs.catalogue import ALL_STAGES
 from estimation.jobs.job import JobContext
 from estimation.jobs.refresh_trends import TREND, trend_of
@@ -56,7 +57,9 @@ READS: Mapping[str, str] = {
     "registry.wheelsets": Facet.REGISTRY,
     "registry.measured_wheelsets": Facet.REGISTRY,
     "registry.measured_profiles_of": Facet.REGISTRY,
+    "registry.measured_profiles": Facet.REGISTRY,
     "tracks.sections": Facet.REGISTRY,
+    "tracks.report": GEOMETRY.stage,  # that of a version stays as it is; a geometry says of which it is made
     "alerts.wheelsets_of_kind": Facet.RESTARTS,
     "trends.latest": TREND.name,
     "geometries.interval_digests": GEOMETRY.stage,
@@ -171,6 +174,7 @@ def test_every_read_is_declared(storage: Storage, stage: AnyStage) -> None:
     lived(storage)
     with storage.write() as unit:
         unit.alerts.save(identity_alert("W1"), [AlertEventKind.RAISED], 1)
+        a_measurement(unit)
     with storage.read() as unit:
         recorded = Recorded(unit)
         stage.load(recorded, WHEELSETS, context_of(storage))  # type: ignore[arg-type] - it answers as the unit does
@@ -200,12 +204,19 @@ def an_identity_change(unit: Any) -> None:  # noqa: ANN401 - the same
     unit.alerts.save(identity_alert("W2"), [AlertEventKind.RAISED], 1)
 
 
+def a_measurement(unit: Any) -> None:  # noqa: ANN401 - the same
+    unit.tracks.add_section(TrackSectionRecord("S", 1, "", "60E1", 0.05, 1.435, 2000.0))
+    wheel = wheel_profile("P8")
+    unit.registry.add_measured_profiles(MeasuredProfiles("W2", START_NS + 21 * DAY_NS, 21_000.0, wheel, wheel, 2e-4))
+
+
 CHANGES: tuple[Callable[[Any], None], ...] = (
     a_geometry,
     a_reprofiling,
     a_faster_vehicle,
     another_vehicle,
     an_identity_change,
+    a_measurement,
 )
 OF_TREND = {change.__name__ for change in CHANGES}
 

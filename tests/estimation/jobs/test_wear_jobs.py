@@ -5,25 +5,31 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from one_database import on_sqlite
-from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, wear
+from wheelset_life import DAY_NS, START_NS, SetClock, geometry_of, geometry_record, register, run_windows, wear
 
 from bench.put_values import put_geometry
+from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair, wheel_contact
 from estimation.alerts.life_cycle import acknowledge
 from estimation.alerts.rule_book import RuleBook
 from estimation.alerts.rules.sensor_data import NoDataRule
+from estimation.contact.profiles import MeasuredProfiles, wheel_profile
 from estimation.jobs import evaluate_alerts, refresh_trends
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, CloseReason, Condition
+from estimation.values.error_parts import ErrorSource
 from estimation.values.quantities import Status
-from estimation.values.registry import Mounting, Reprofiling
+from estimation.values.registry import Mounting, Reprofiling, SensorChange, SensorWork
 from estimation.values.runs import JobRun, JobTrigger
 from estimation.values.track import TrackSectionRecord
 from estimation.values.trend import SuspensionFinding
 from estimation.values.windows import Hunting
+from fleet_db.records import Decision
+from fleet_db.storage import SqlStorage
 
 RAISED, UPDATED, CLEARED, CLOSED = (
     AlertEventKind.RAISED,
@@ -102,6 +108,63 @@ def test_intervals_that_were_followed_by_empty_ones_are_as_if_they_had_never_bee
         assert latest is not None
         digests.append(latest.input_digest)
     assert digests[1] != digests[0] == digests[2]
+
+
+def with_common_error(storage: Storage, conicity: float) -> None:
+    """Store intervals of 40 days of W1, whose errors are common for the most part."""
+    sources, effects = (ErrorSource.SAMPLING, ErrorSource.JUMP_PLACE), np.outer([0.004, 0.03], np.ones(3))
+    with storage.write() as unit:
+        for day in range(1, 41, 3):
+            record = geometry_record("W1", day, day, conicity)
+            geometry = geometry_of(conicity=conicity, std=0.0303)
+            geometry = replace(geometry, error_sources=sources, error_effects=effects)
+            put_geometry(unit, replace(record, geometry=geometry))
+
+
+@on_sqlite
+@pytest.mark.parametrize(
+    ("day", "before", "count"),
+    [
+        (20, "", (1, 0)),
+        (20, "mounted", None),
+        (20, "sensor", None),
+        (20, "turned", None),
+        (20, "far off", (0, 1)),
+        (60, "", None),
+    ],
+)
+def test_a_measured_profile_moves_the_trend_of_the_same_wheels_in_the_same_place(
+    storage: SqlStorage, day: int, before: str, count: tuple[int, int] | None
+) -> None:
+    register(storage, "W1")
+    wheel = wheel_profile("P8")
+    section = TrackSectionRecord("S", 1, "", "60E1", 0.05, 1.435, 2000.0)
+    contact = wheel_contact(WheelPair(wheel, wheel, 0.45, 2e-4), [RailShare.of(section)])
+    assert isinstance(contact, WheelContact)
+    truth = contact.conicity[2].value or 0.0
+    with_common_error(storage, truth + (0.2 if before == "far off" else 0.03))
+    at_ns, later = START_NS + (day - 1) * DAY_NS, START_NS + 25 * DAY_NS
+    with storage.write() as unit:
+        unit.tracks.add_section(section)
+        unit.registry.add_measured_profiles(MeasuredProfiles("W1", at_ns, 1000.0 * day, wheel, wheel, 2e-4))
+        if before == "mounted":
+            unit.registry.add_mounting(Mounting("W1", "V1", 1, START_NS, later, 0.0, 0.0))
+            unit.registry.add_mounting(Mounting("W1", "V1", 2, later, None, 0.0, 0.0))
+        if before == "sensor":
+            unit.sensor_changes.add(SensorChange("V1", 1, later, SensorWork.SWAP), 4, Decision())
+        if before == "turned":
+            unit.registry.add_reprofiling(Reprofiling("W1", later, 25_000.0))
+    run_jobs(storage, 41.0)
+    with storage.read() as unit:
+        latest = unit.trends.latest("W1")
+    assert latest is not None
+    said = latest.trend.calibration
+    assert (None if said is None else (said.profiles, said.contradicting)) == count
+    if count == (1, 0):
+        assert said is not None
+        assert -0.03 <= said.shift < -0.02
+        assert said.std < 0.015
+        assert latest.trend.fitted.value == pytest.approx(truth, abs=0.01)
 
 
 def test_worn_wheels_raise_alerts_once(storage: Storage) -> None:

@@ -262,3 +262,10 @@ def test_few_points_say_how_fast_and_not_whether_it_changes(points: int) -> None
     assert np.isfinite(own.moment).all()
     assert np.isfinite(own.evidence).all()
     assert all(np.isfinite(component.rate) for prior in fleet_priors([own] * 3) for component in prior.components)
+
+
+def test_usual_wear_hardly_doubles_by_wandering_alone() -> None:
+    """By the strongest wandering the rate has changed by itself after some 440,000 km, not after 30,000."""
+    wandering = {component.wandering for component in usual_wear().components}
+    assert wandering == {5e-11, 3e-10, 1.5e-9} == set(FLEET.wanderings)
+    assert (FLEET.rate / max(wandering)) ** 2 == pytest.approx(444_444.0, rel=1e-4)

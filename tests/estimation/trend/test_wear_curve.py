@@ -10,7 +10,8 @@ from wear_histories import History, histories
 
 from estimation.trend.parameters import CURVES
 from estimation.trend.wear_curve import WearCurve, fit_wear_curve
-from estimation.trend.wear_grid import Shapes, scaled_points, solve
+from estimation.trend.wear_grid import Shapes, over_scatter, scaled_points, solve
+from estimation.values.arrays import FloatArray
 from estimation.values.mixture import NormalMixture
 from estimation.values.quantities import Estimate
 
@@ -126,6 +127,7 @@ def test_every_node_equals_generalised_least_squares_with_the_whole_covariance()
             expected.append((np.log(prior * chance) - 0.5 * log_likelihood, covariance @ moment, covariance))
     weights = np.exp([log - max(one for one, _, _ in expected) for log, _, _ in expected])
     weights /= weights.sum()
+    moments: list[tuple[FloatArray, FloatArray]] = []
     counted = [number for number, weight in enumerate(weights) if weight > CURVES.negligible_share]
     assert len(counted) > 3
     for number in counted:
@@ -134,6 +136,15 @@ def test_every_node_equals_generalised_least_squares_with_the_whole_covariance()
         np.testing.assert_allclose(nodes.beta[node], beta, rtol=1e-6)
         np.testing.assert_allclose(nodes.covariance[node], covariance, rtol=1e-6)
         assert nodes.weight[node] == pytest.approx(weights[number], rel=2.0 * CURVES.negligible_share)
+    merged = over_scatter(nodes)
+    assert len(merged.weight) == len(np.unique(nodes.knee)) < len(nodes.weight)
+    for of in (nodes, merged):
+        mean = of.weight @ of.beta
+        moments.append(
+            (mean, np.einsum("m,mij->ij", of.weight, of.covariance + of.beta[:, :, None] * of.beta[:, None]))
+        )
+    for whole, kept in zip(*moments, strict=True):
+        np.testing.assert_allclose(kept, whole, rtol=1e-9)
 
 
 def test_a_mixture_has_the_quantiles_of_its_draws() -> None:
@@ -164,7 +175,7 @@ def first_above(curve: WearCurve, limit: float, probability: float, horizon: flo
         return curve.level_after(distance).above(limit) - probability
 
     before = 0.0
-    for distance in (horizon * np.linspace(0.0, 1.0, CURVES.horizon_points + 1) ** 2).tolist():
+    for distance in (horizon * np.linspace(0.0, 1.0, CURVES.points_ahead) ** 2).tolist():
         if short(distance) >= 0.0:
             return float(brentq(short, before, distance, xtol=1e-6 * horizon)) if distance else 0.0
         before = distance
