@@ -63,3 +63,25 @@ class BogieFitParameters:
 
 
 BOGIE = BogieFitParameters()
+
+
+@dataclass(frozen=True, slots=True)
+class BogieTrackParameters:
+    """How the alignment of a section is found from the bogies that run over it."""
+
+    start_rounds: int = 4  # with straight curves, of d alone
+    start_share: float = 0.3  # of y, over which bogies are simulated first
+    # m, of curves as they bend from round to round: straight at first, for a jump in the wrong place derails
+    bend_stds: tuple[float, ...] = tuple(1e-6 * bend for bend in (3, 3, 5, 8, 12, 18, 26, 36, 50, 50, 50, 50, 50))
+    held: float = 0.15  # of what is known of parameters: a spring that is off moves the curves, and d hardly
+    response_floor: float = 0.02  # of the square of responses, summed over runs: waves that move no bogie
+    wave_std: float = 1.3e-3  # m, of a wave of d beforehand: more than tracks have
+    fewest_runs: int = 4  # of a place
+    most_moved: float = 0.08e-3  # m, rms by which the last round changes d
+    most_std: float = 0.15e-3  # m, of the waves of the motion, on which a bogie is estimated as one
+    fewest_bogies: int = 2
+    mean_runs: float = 8.0  # of a place, before a solution is tried: it takes minutes
+    most_runs: int = 120  # 6 MB each
+
+
+BOGIE_TRACK = BogieTrackParameters()

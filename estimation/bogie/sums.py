@@ -38,19 +38,21 @@ class Spectra:
 
 
 @lru_cache(maxsize=8)
-def _band() -> IntArray:
-    wavenumber = np.arange(_cells() // 2 + 1) / BOGIE.segment_m
+def band() -> IntArray:
+    """Return which waves of a segment are used, by how many of them it holds."""
+    wavenumber = np.arange(segment_cells() // 2 + 1) / BOGIE.segment_m
     return np.flatnonzero((wavenumber >= 1.0 / BOGIE.longest_wave) & (wavenumber <= 1.0 / BOGIE.shortest_wave))
 
 
-def _cells() -> int:
+def segment_cells() -> int:
+    """Return how many cells a segment has."""
     return round(BOGIE.segment_m / BOGIE.grid_step)
 
 
 @lru_cache(maxsize=8)
 def _taper() -> tuple[FloatArray, FloatArray]:
     """Return the taper (n,) of a segment and an orthonormal basis (k, n) of its trend."""
-    n = _cells()
+    n = segment_cells()
     powers = np.vander(np.linspace(-1.0, 1.0, n), BOGIE.trend_order + 1, increasing=True)
     return np.hanning(n + 2)[1:-1], np.linalg.qr(powers)[0].T
 
@@ -61,33 +63,44 @@ def long_enough(run: BogieRun) -> bool:
 
 
 def _starts(cells: int) -> list[int]:
-    n = _cells()
+    n = segment_cells()
     count = -(-2 * (cells - n) // n) + 1
     return [round(at) for at in np.linspace(0, cells - n, count)]
 
 
-def _transformed(rows: FloatArray, starts: Sequence[int]) -> ComplexArray:
+def transformed(rows: FloatArray, starts: Sequence[int]) -> ComplexArray:
     """Return the transforms (s, r, m) of segments of rows (r, n), in the band; rows of zeros cost nothing."""
     taper, trend = _taper()
     n, filled = len(taper), np.flatnonzero(rows.any(axis=1))
-    found = np.zeros((len(starts), len(rows), len(_band())), dtype=np.complex128)
+    found = np.zeros((len(starts), len(rows), len(band())), dtype=np.complex128)
     for number, start in enumerate(starts):
         part = rows[filled, start : start + n]
         part = part - (part @ trend.T) @ trend
-        found[number, filled] = np.fft.rfft(part * taper, axis=1)[:, _band()]
+        found[number, filled] = np.fft.rfft(part * taper, axis=1)[:, band()]
     return found
 
 
 def spectra(gear: Gear, curves: Curves, run: BogieRun, group: int) -> Spectra | None:
     """Return the columns of a run that is long enough; None where the bogie derails on these curves."""
-    order = [1, 0] if run.swapped else [0, 1]
-    own = Curves(curves.values[order])
+    own, cell = as_it_runs(curves, run), run.run / BOGIE.grid_step
     moved = simulate(gear, own, run)
-    if moved is None:
-        return None
-    cell = run.run / BOGIE.grid_step
-    starts = _starts(int(cell[-1]))
-    mixed = mixed_displacement(run, moved.relative)
+    return None if moved is None else in_segments(gear, own, run, moved, group, cell, _starts(int(cell[-1])))
+
+
+def as_it_runs(curves: Curves, run: BogieRun) -> Curves:
+    """Return the curves of the axle that leads and of the one that trails."""
+    return Curves(curves.values[_order(run)])
+
+
+def _order(run: BogieRun) -> list[int]:
+    return [1, 0] if run.swapped else [0, 1]
+
+
+def in_segments(
+    gear: Gear, own: Curves, run: BogieRun, moved: Simulated, group: int, cell: FloatArray, starts: Sequence[int]
+) -> Spectra:
+    """Return the columns of a run in segments from some cells on; ``cell`` (n,) is where each sample is."""
+    order, mixed = _order(run), mixed_displacement(run, moved.relative)
     measured, visited = _columns(gear, own, run, moved, mixed, cell, measured=True)
     simulated, _ = _columns(gear, own, run, moved, moved.relative, cell, measured=False)
     b = visited.shape[1]
@@ -95,8 +108,8 @@ def spectra(gear: Gear, curves: Curves, run: BogieRun, group: int) -> Spectra | 
     known_first = np.concatenate([[0], 1 + place])
     follows = followed(run, moved.relative, moved.lateral[0])
     return Spectra(
-        _laid_out(_transformed(measured, starts))[:, :, known_first],
-        _laid_out(_transformed(simulated, starts))[:, :, 1 + place],
+        _laid_out(transformed(measured, starts))[:, :, known_first],
+        _laid_out(transformed(simulated, starts))[:, :, 1 + place],
         replace(follows, likeness=follows.likeness[order], open_std=follows.open_std[order]),
         visited[order],
         group,
