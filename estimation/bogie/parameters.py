@@ -79,7 +79,6 @@ class BogieTrackParameters:
     fewest_runs: int = 4  # of a place
     most_moved: float = 0.08e-3  # m, rms by which the last round changes d
     most_std: float = 0.15e-3  # m, of the waves of the motion, on which a bogie is estimated as one
-    fewest_bogies: int = 2
     mean_runs: float = 8.0  # of a place, before a solution is tried: it takes minutes
     most_runs: int = 120  # 6 MB each
 

@@ -43,7 +43,7 @@ class FoundAlignment(FrozenArrays):
 
     place: Annotated[FloatArray, "n"]  # m along the section
     alignment: Annotated[FloatArray, "n"]  # m
-    std: Annotated[FloatArray, "n"]  # m
+    std: Annotated[FloatArray, "n"]  # m, of y - d by it: a bogie follows long waves, whatever they are
     runs: Annotated[FloatArray, "n"]  # that have passed
     shift: Annotated[FloatArray, "r"]  # m along the section, by which each run is further than it was taken to be
     moved: float  # m, rms by which the last round changed the alignment
@@ -103,6 +103,23 @@ def _piece(bogie: int, run: BogieRun, reached: Reached) -> _Piece | None:
 
 
 @dataclass(frozen=True, slots=True)
+class _Solved:
+    """The unknowns of all bogies together, and by what d is another."""
+
+    theta: Sequence[FloatArray]  # by bogie
+    waves: ComplexArray  # (g, m) of d
+    whole: FloatArray  # (u, u) information on the unknowns with d eliminated
+    columns: ComplexArray  # (g, m, u) by what d changes with them
+    weight: FloatArray  # (g, m) information on d where they are known
+
+    def variance(self) -> FloatArray:
+        """Return the variance (g, m) of d: by the errors of the equations, and by the curves."""
+        columns = self.columns.reshape(-1, len(self.whole))
+        of_curves = np.einsum("cu,cu->c", columns @ np.linalg.inv(self.whole), columns.conj()).real
+        return np.asarray(1.0 / self.weight + np.maximum(of_curves, 0.0).reshape(self.weight.shape))
+
+
+@dataclass(frozen=True, slots=True)
 class _Section:
     """Where the rounds have come to."""
 
@@ -145,8 +162,8 @@ class _Section:
         weight += BOGIE_TRACK.response_floor
         return change / weight, power / max(count, 1) / weight
 
-    def solved(self, bend_std: float) -> tuple[list[FloatArray], ComplexArray, FloatArray]:
-        """Return the unknowns of all bogies, and by what d (g, m) is another, with its variance."""
+    def solved(self, bend_std: float) -> _Solved:
+        """Return the unknowns of all bogies, with bends of their curves of a std, m, and d with them."""
         u, m = len(self.reached[0].theta), len(band())
         size = u * len(self.known)
         whole, wanted = np.zeros((size, size)), np.zeros(size)
@@ -177,16 +194,21 @@ class _Section:
         whole -= (eliminated.T @ by_columns.reshape(-1, size)).real
         wanted += (eliminated.T @ left_over.ravel()).real
         theta = np.linalg.solve(whole, wanted)
-        return np.split(theta, len(self.known)), -(left_over + by_columns @ theta) / weight, 1.0 / weight
+        waves, columns = -(left_over + by_columns @ theta) / weight, by_columns / weight[..., None]
+        return _Solved(np.split(theta, len(self.known)), waves, whole, columns, weight)
 
 
 def _column_of_d(piece: _Piece, known: Beforehand) -> ComplexArray:
     """Return what the three equations (3, m) change by per d, of waves that are measured."""
-    wavenumber = band() / BOGIE.segment_m
-    behind = np.exp(-2j * np.pi * wavenumber * piece.run.onward * known.gear.bogie.wheelbase)
-    found = np.zeros((3, len(wavenumber)), dtype=np.complex128)
+    behind = _behind(piece.run.onward * known.gear.bogie.wheelbase)
+    found = np.zeros((3, len(band())), dtype=np.complex128)
     found[0], found[1] = -piece.run.facing * piece.slope[0], -piece.run.facing * piece.slope[1] * behind
     return np.asarray(found * ~_simulated_waves())
+
+
+def _behind(distance: float | FloatArray) -> ComplexArray:
+    """Return what waves (m,) at a place are times further along the section, by a distance, m."""
+    return np.asarray(np.exp(-2j * np.pi * band() / BOGIE.segment_m * distance))
 
 
 def _simulated_waves() -> np.ndarray:
@@ -250,30 +272,35 @@ def alignment_of_bogies(
 
 
 def _next(section: _Section, bend_std: float) -> tuple[_Section | None, FloatArray]:
-    theta, waves, _ = section.solved(bend_std)
+    solved = section.solved(bend_std)
     long_waves, _ = section.by_motion(section.response())
-    change = _along(np.where(_simulated_waves(), long_waves, waves), len(section.d))
+    change = _along(np.where(_simulated_waves(), long_waves, solved.waves), len(section.d))
     blend = BOGIE.blend
     for _ in range(BOGIE.halvings):
-        reached = [one.towards(own, blend) for one, own in zip(section.reached, theta, strict=True)]
+        reached = [one.towards(own, blend) for one, own in zip(section.reached, solved.theta, strict=True)]
         moved = section.over(reached, section.d + blend * change)
         if moved is not None:
-            return moved, _along(np.where(_simulated_waves(), 0.0, waves), len(section.d))
+            return moved, _along(np.where(_simulated_waves(), 0.0, solved.waves), len(section.d))
         blend *= 0.5
     return None, change
 
 
 def _found(section: _Section, moved: FloatArray, runs: Sequence[BogieAndRun]) -> FoundAlignment:
     size, points = segment_cells(), len(section.d)
-    variances = section.solved(BOGIE_TRACK.bend_stds[-1])[2], section.by_motion(section.response())[1]
-    in_segments_ = np.where(_simulated_waves(), variances[1], variances[0]).sum(axis=1) * 2.0 / size**2 / TAPERED
+    response = section.response()
+    wheelbases = np.array([known.gear.bogie.wheelbase for known in section.known])
+    response[:, 1] *= _behind(-wheelbases[:, None])
+    unfollowed = (np.abs(response - 1.0) ** 2).mean(axis=(0, 1))
+    measured = section.solved(BOGIE_TRACK.bend_stds[-1]).variance()
+    simulated = unfollowed * section.by_motion(section.response())[1]
+    of_segments = np.where(_simulated_waves(), simulated, measured).sum(axis=1) * 2.0 / size**2 / TAPERED
     passed = np.zeros(section.segments)
     for piece in section.pieces:
         passed[piece.numbers] += 1.0
     # a place is known by the two segments that it is in
     runs_at, variance = np.zeros((2, points // (size // 2)))
     runs_at[1:-1] = [min(pair) for pair in itertools.pairwise(passed)]
-    variance[1:-1] = [0.5 * sum(pair) for pair in itertools.pairwise(in_segments_)]
+    variance[1:-1] = [0.5 * sum(pair) for pair in itertools.pairwise(of_segments)]
     each = np.repeat(runs_at, size // 2)
     certain = each >= BOGIE_TRACK.fewest_runs
     shift = [float((piece.run.place - run.place)[0, -1]) for piece, (_, run) in zip(section.pieces, runs, strict=True)]

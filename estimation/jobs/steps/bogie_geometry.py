@@ -49,6 +49,13 @@ def held_by_spring(vehicle_class: VehicleClass) -> bool:
     return bool(p.yaw_stiffness >= BOGIE.least_spring_share * (p.yaw_stiffness + rolling))
 
 
+def known_well(track: TrackAlignment | None) -> bool:
+    """Return whether a bogie can be estimated as one over an alignment: a survey, or one that the fleet knows well."""
+    if track is None or track.source is AlignmentSource.RECORDED:
+        return track is not None
+    return alignment_std(track, ParameterUncertainty()) <= BOGIE_TRACK.most_std
+
+
 @dataclass(frozen=True, slots=True)
 class FittedBogie:
     """What the bogie of a wheelset was found to be."""
@@ -135,19 +142,15 @@ class BogieWindows:
 
     def _chosen(self, members: Sequence[Member]) -> list[Member]:
         """Return the windows that stand for all: on the vehicle of the newest, on an alignment that is known well."""
-        usable = [member for member in members if not member.window.samples_purged and self._known(member)]
+        usable = [
+            member for member in members if not member.window.samples_purged and known_well(self._alignment(member))
+        ]
         if not usable:
             return []
         newest = usable[-1].window.record
         same = [m for m in usable if (m.window.record.vehicle, m.window.record.axle) == (newest.vehicle, newest.axle)]
         by_chance = sorted(same, key=lambda m: hashlib.sha256(f"{newest.vehicle} {m.start_ns}".encode()).digest())
         return sorted(by_chance[: JOBS.bogie_windows], key=lambda m: m.start_ns)
-
-    def _known(self, member: Member) -> bool:
-        track = self._alignment(member)
-        if track is None or track.source is AlignmentSource.RECORDED:
-            return track is not None
-        return alignment_std(track, ParameterUncertainty()) <= BOGIE_TRACK.most_std
 
     def _alignment(self, member: Member) -> TrackAlignment | None:
         section, version = member.window.record.track_section, member.window.track_version

@@ -19,7 +19,7 @@ from estimation.filters import high_pass, local_cubic_kernel
 from estimation.geometry.uncertainty import ParameterUncertainty, alignment_std
 from estimation.jobs.job import JobContext
 from estimation.jobs.steps.assumptions import Assumed
-from estimation.jobs.steps.bogie_geometry import held_by_spring
+from estimation.jobs.steps.bogie_geometry import held_by_spring, known_well
 from estimation.jobs.steps.epoch_passes import EpochPasses, RunsOnFile
 from estimation.jobs.steps.load_window import WindowLoader
 from estimation.track.passes import Entry, Journey, ProfileLife
@@ -62,14 +62,14 @@ def with_bogies(
         return update
     ran = _ran(chosen, on_file, passes.journeys(update.estimate.grouped), update)
     bogies = list(dict.fromkeys(item.bogie for item in ran))
-    if len(bogies) < BOGIE_TRACK.fewest_bogies:
+    if not bogies:
         return update
     known = {item.bogie: Beforehand.of(item.assumed.window_parameters.vehicle_class) for item in ran}
     of_journeys, runs = _runs(context, section, ran, bogies, on_file)
     found = alignment_of_bogies([known[one] for one in bogies], runs, section.length_m, context.checkpoint)
-    if isinstance(found, Reason) or not found.moved <= BOGIE_TRACK.most_moved:
+    if isinstance(found, Reason):
         return update
-    return _updated(update, section, found, of_journeys, in_force, context.settings.alignment.section)
+    return updated(update, section, found, of_journeys, in_force, context.settings.alignment.section)
 
 
 def _ran(
@@ -122,7 +122,7 @@ def _flat(section: TrackSectionRecord) -> TrackAlignment:
     )
 
 
-def _updated(
+def updated(
     update: AlignmentUpdate,
     section: TrackSectionRecord,
     found: FoundAlignment,
@@ -130,6 +130,11 @@ def _updated(
     in_force: TrackAlignment | None,
     parameters: SectionParameters,
 ) -> AlignmentUpdate:
+    """Return an update with the alignment of bogies where that has come to rest and is known well enough.
+
+    Args:
+        of_journeys: The journey of each of its runs.
+    """
     estimate, p = update.estimate, replace(parameters, panel=replace(parameters.panel, length=section.length_m))
     assert estimate.iterated is not None
     merged = merged_alignment(section.code, estimate.iterated, in_force, p)  # for its gauge
@@ -142,12 +147,15 @@ def _updated(
     alignment = replace(
         merged,
         alignment=np.where(np.isfinite(d), filtered, np.nan),
-        alignment_std=np.where(np.isfinite(d), on_grid(found.std), np.nan),
+        alignment_std=np.ones(len(d)),
         passes=np.rint(2.0 * on_grid(found.runs)).astype(np.int64),
         scale_std=p.scale_error,
         findings=None,
     )
-    if not alignment_std(alignment, ParameterUncertainty()) <= BOGIE_TRACK.most_std:
+    # of all waves, as of any fleet's: of which the motion has a share
+    std = on_grid(found.std) / alignment_std(alignment, ParameterUncertainty())
+    alignment = replace(alignment, alignment_std=np.where(np.isfinite(d), std, np.nan))
+    if not (known_well(alignment) and found.moved <= BOGIE_TRACK.most_moved and np.isfinite(d).any()):
         return update
     corrections = dict(estimate.iterated.corrections)
     for journey in set(of_journeys):
