@@ -77,6 +77,7 @@ class BogieTrackParameters:
     response_floor: float = 0.02  # of the square of responses, summed over runs: waves that move no bogie
     wave_std: float = 1.3e-3  # m, of a wave of d beforehand: more than tracks have
     fewest_runs: int = 4  # of a place
+    std_factor: float = 1.5  # of what errors of the equations make of d: 0.06 to 0.08 mm for 0.04 to 0.05
     most_moved: float = 0.08e-3  # m, rms by which the last round changes d
     most_std: float = 0.15e-3  # m, of the waves of the motion, on which a bogie is estimated as one
     mean_runs: float = 8.0  # of a place, before a solution is tried: it takes minutes

@@ -253,7 +253,8 @@ def alignment_of_bogies(
     hop = segment_cells() // 2
     points = hop * int(length / BOGIE.grid_step / hop)
     straight = [Reached.at_first(one, Curves.straight(BOGIE.start_conicity)) for one in known]
-    section = _section(known, straight, np.zeros(points), runs) if points > hop else None
+    with np.errstate(invalid="ignore"):  # nothing is like a bogie at rest
+        section = _section(known, straight, np.zeros(points), runs) if points > hop else None
     for number in range(BOGIE_TRACK.start_rounds):
         if section is None:
             break
@@ -307,7 +308,7 @@ def _found(section: _Section, moved: FloatArray, runs: Sequence[BogieAndRun]) ->
     return FoundAlignment(
         place=np.asarray(BOGIE.grid_step * (np.arange(points) + 0.5)),
         alignment=np.where(certain, section.d, np.nan),
-        std=np.where(certain, np.sqrt(np.repeat(variance, size // 2)), np.nan),
+        std=np.where(certain, BOGIE_TRACK.std_factor * np.sqrt(np.repeat(variance, size // 2)), np.nan),
         runs=each,
         shift=np.array(shift),
         moved=float(np.sqrt(np.mean(moved[certain] ** 2))) if certain.any() else float("inf"),
