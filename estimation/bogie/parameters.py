@@ -78,6 +78,8 @@ class BogieTrackParameters:
     wave_std: float = 1.3e-3  # m, of a wave of d beforehand: more than tracks have
     fewest_runs: int = 4  # of a place
     std_factor: float = 1.5  # of what errors of the equations make of d: 0.06 to 0.08 mm for 0.04 to 0.05
+    own_std: float = 0.1e-3  # m, besides: d has errors in common with the runs that it is found from
+    scale_std: float = 0.025  # of y - d: conicities of a fleet are 2 to 4 % off together, with creep linear or not
     most_moved: float = 0.08e-3  # m, rms by which the last round changes d
     most_std: float = 0.15e-3  # m, of the waves of the motion, on which a bogie is estimated as one
     mean_runs: float = 8.0  # of a place, before a solution is tried: it takes minutes

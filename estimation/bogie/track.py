@@ -298,6 +298,7 @@ def _found(section: _Section, moved: FloatArray, runs: Sequence[BogieAndRun]) ->
     passed = np.zeros(section.segments)
     for piece in section.pieces:
         passed[piece.numbers] += 1.0
+    of_segments = BOGIE_TRACK.std_factor**2 * of_segments + BOGIE_TRACK.own_std**2
     # a place is known by the two segments that it is in
     runs_at, variance = np.zeros((2, points // (size // 2)))
     runs_at[1:-1] = [min(pair) for pair in itertools.pairwise(passed)]
@@ -308,7 +309,7 @@ def _found(section: _Section, moved: FloatArray, runs: Sequence[BogieAndRun]) ->
     return FoundAlignment(
         place=np.asarray(BOGIE.grid_step * (np.arange(points) + 0.5)),
         alignment=np.where(certain, section.d, np.nan),
-        std=np.where(certain, BOGIE_TRACK.std_factor * np.sqrt(np.repeat(variance, size // 2)), np.nan),
+        std=np.where(certain, np.sqrt(np.repeat(variance, size // 2)), np.nan),
         runs=each,
         shift=np.array(shift),
         moved=float(np.sqrt(np.mean(moved[certain] ** 2))) if certain.any() else float("inf"),

@@ -149,7 +149,7 @@ def updated(
         alignment=np.where(np.isfinite(d), filtered, np.nan),
         alignment_std=np.ones(len(d)),
         passes=np.rint(2.0 * on_grid(found.runs)).astype(np.int64),
-        scale_std=p.scale_error,
+        scale_std=BOGIE_TRACK.scale_std,
         findings=None,
     )
     # of all waves, as of any fleet's: of which the motion has a share

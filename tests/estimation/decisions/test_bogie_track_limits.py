@@ -80,7 +80,8 @@ def test_a_bogie_is_estimated_as_one_on_a_survey_or_where_the_fleet_knows_the_tr
 
 
 def test_what_decides_how_well_an_alignment_of_bogies_is_known_stays() -> None:
-    stated = (BOGIE_TRACK.std_factor, BOGIE_TRACK.fewest_runs, BOGIE_TRACK.held, BOGIE_TRACK.wave_std)
-    assert stated == (1.5, 4, 0.15, 1.3e-3)
+    stds = (BOGIE_TRACK.std_factor, BOGIE_TRACK.own_std, BOGIE_TRACK.scale_std, BOGIE_TRACK.wave_std)
+    assert stds == (1.5, 0.1e-3, 0.025, 1.3e-3)
+    assert (BOGIE_TRACK.fewest_runs, BOGIE_TRACK.held) == (4, 0.15)
     assert (BOGIE_TRACK.start_rounds, BOGIE_TRACK.start_share, BOGIE_TRACK.response_floor) == (4, 0.3, 0.02)
     assert BOGIE_TRACK.bend_stds == tuple(1e-6 * bend for bend in (3, 3, 5, 8, 12, 18, 26, 36, 50, 50, 50, 50, 50))
