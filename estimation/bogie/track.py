@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, cast
 
 import numpy as np
 
@@ -98,8 +98,13 @@ def _piece(bogie: int, run: BogieRun, reached: Reached) -> _Piece | None:
         first, along = -(numbers.stop + 1), along[::-1].conj() * turn
         measured, simulated = (side[::-1].conj() * turn for side in (part.measured, part.simulated))
         part = replace(part, measured=measured, simulated=simulated)
+    part = replace(part, measured=_single(part.measured), simulated=_single(part.simulated))
     slope = run.stretch * own.slope(moved.relative).mean(axis=1)
     return _Piece(bogie, run, first, part, along[:, :2], along[:, 2:4], along[:, 4], slope)
+
+
+def _single(values: ComplexArray) -> ComplexArray:
+    return cast("ComplexArray", values.astype(np.complex64))  # half the memory, of which they need most
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,12 +137,14 @@ class _Section:
     def segments(self) -> int:
         return 2 * len(self.d) // segment_cells() - 1
 
-    def over(self, reached: Sequence[Reached], d: FloatArray) -> _Section | None:
-        """Return the runs, each where its simulation follows best, over another alignment; None where one derails."""
+    def runs(self) -> list[BogieAndRun]:
+        """Return the runs, each where its simulation follows best."""
         shifts = [piece.run.onward * piece.spectra.followed.shift for piece in self.pieces]
         away = [shift - float(np.mean(shifts)) for shift in shifts]
-        runs = [placed(piece.run, piece.run.onward * shift) for piece, shift in zip(self.pieces, away, strict=True)]
-        return _section(self.known, reached, d, [(p.bogie, run) for p, run in zip(self.pieces, runs, strict=True)])
+        return [
+            (piece.bogie, placed(piece.run, piece.run.onward * shift))
+            for piece, shift in zip(self.pieces, away, strict=True)
+        ]
 
     def response(self) -> ComplexArray:
         """Return the linear response (b, 2, m) of the y of both axles to the d under the first, as it travels."""
@@ -227,6 +234,31 @@ def _section(
     return _Section(known, reached, d, pieces)
 
 
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """What a round changes, without the spectra that say so."""
+
+    known: Sequence[Beforehand]
+    reached: Sequence[Reached]
+    d: FloatArray  # (n,) m
+    runs: Sequence[BogieAndRun]
+    theta: Sequence[FloatArray]  # by bogie; none where curves stay
+    change: FloatArray  # (n,) m, of d
+
+    def taken(self) -> _Section | None:
+        """Return the section after it; what derails is halved. None where it still does."""
+        if not self.theta:
+            return _section(self.known, self.reached, self.d + self.change, self.runs)
+        blend = BOGIE.blend
+        for _ in range(BOGIE.halvings):
+            reached = [one.towards(own, blend) for one, own in zip(self.reached, self.theta, strict=True)]
+            section = _section(self.known, reached, self.d + blend * self.change, self.runs)
+            if section is not None:
+                return section
+            blend *= 0.5
+        return None
+
+
 def _along(waves: ComplexArray, points: int) -> FloatArray:
     """Return d (n,), m, of its waves in segments (g, m)."""
     size = segment_cells()
@@ -260,30 +292,31 @@ def alignment_of_bogies(
             break
         response = section.response() if number else np.ones((len(known), 2, len(band())), dtype=np.complex128)
         share = 1.0 if number else BOGIE_TRACK.start_share  # y itself is no alignment, but shows the response
-        section = section.over(straight, section.d + share * _along(section.by_motion(response)[0], points))
+        first = _Step(
+            known, straight, section.d, section.runs(), [], share * _along(section.by_motion(response)[0], points)
+        )
+        section = None  # there is no memory for the spectra of both
+        section = first.taken()
     moved = np.zeros(points)
     for number, bend_std in enumerate(BOGIE_TRACK.bend_stds):
         if section is None:
             break
         checkpoint(number, len(BOGIE_TRACK.bend_stds))
-        section, moved = _next(section, bend_std)
+        step, moved = _step(section, bend_std)
+        section = None
+        section = step.taken()
     if section is None:
         return Reason(ReasonCode.STIFFNESS_OPEN, "bogies with the curves that are found do not stay on their track")
     return _found(section, moved, runs)
 
 
-def _next(section: _Section, bend_std: float) -> tuple[_Section | None, FloatArray]:
+def _step(section: _Section, bend_std: float) -> tuple[_Step, FloatArray]:
+    """Return the next step, and what of it is known by the equations."""
     solved = section.solved(bend_std)
     long_waves, _ = section.by_motion(section.response())
     change = _along(np.where(_simulated_waves(), long_waves, solved.waves), len(section.d))
-    blend = BOGIE.blend
-    for _ in range(BOGIE.halvings):
-        reached = [one.towards(own, blend) for one, own in zip(section.reached, solved.theta, strict=True)]
-        moved = section.over(reached, section.d + blend * change)
-        if moved is not None:
-            return moved, _along(np.where(_simulated_waves(), 0.0, solved.waves), len(section.d))
-        blend *= 0.5
-    return None, change
+    step = _Step(section.known, section.reached, section.d, section.runs(), solved.theta, change)
+    return step, _along(np.where(_simulated_waves(), 0.0, solved.waves), len(section.d))
 
 
 def _found(section: _Section, moved: FloatArray, runs: Sequence[BogieAndRun]) -> FoundAlignment:
