@@ -110,7 +110,7 @@ class BogieFit(FrozenArrays):
     def stiffness_ratio(self) -> tuple[float, float]:
         """Yaw stiffness over creep coefficient, of that on file, and its std."""
         value, std = self.parameter("yaw_stiffness", "creep")
-        return 1.0 + value, std
+        return 1.0 + value, float(np.hypot(std, BOGIE.stiffness_doubt))
 
     @property
     def inverse_friction(self) -> tuple[float, float]:
@@ -120,12 +120,47 @@ class BogieFit(FrozenArrays):
 
 
 @dataclass(frozen=True, slots=True)
-class _State:
-    """Where the rounds have come to."""
+class Reached(FrozenArrays):
+    """What a bogie is taken to be after some rounds."""
 
     gear: Gear
     curves: Curves
-    theta: FloatArray
+    theta: Annotated[FloatArray, "u"]  # the unknowns, 1/mu from that of the gear on
+
+    @classmethod
+    def at_first(cls, known: Beforehand, curves: Curves) -> Self:
+        """Return what it is taken to be before any round."""
+        return cls(known.gear, curves, np.concatenate([np.zeros(UNKNOWNS), curves.values.ravel()]))
+
+    def towards(self, theta: FloatArray, blend: float) -> Reached:
+        """Return what it is taken to be with a share of the way to some unknowns gone."""
+        values = theta[UNKNOWNS:].reshape(2, -1)
+        values = values - values[:, [values.shape[1] // 2]]  # the constant is not observable
+        curves = Curves(self.curves.values + blend * (values - self.curves.values))
+        friction = self.gear.inverse_friction + blend * float(theta[FRICTION])
+        gear = replace(
+            self.gear,
+            inverse_friction=min(max(friction, 0.0), BOGIE.most_inverse_friction),
+            moving=_moving(self.gear.vehicle, theta),
+        )
+        theta = np.concatenate([theta[:UNKNOWNS], curves.values.ravel()])
+        theta[FRICTION] = 0.0
+        return Reached(gear, curves, theta)
+
+    def expected(self, known: Beforehand, bend_std: float) -> tuple[FloatArray, FloatArray]:
+        """Return the information (u, u) on the unknowns beforehand, and its product (u,) with what is expected."""
+        information = known.information(bend_std)
+        expected = np.zeros(UNKNOWNS)
+        expected[FRICTION] = BOGIE.inverse_friction - self.gear.inverse_friction
+        held = BOGIE.held**2 / bend_std**2 * self.curves.values.ravel()
+        return information, information[:, :UNKNOWNS] @ expected + np.concatenate([np.zeros(UNKNOWNS), held])
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    """Where the rounds have come to."""
+
+    reached: Reached
     parts: tuple[Spectra, ...]
 
 
@@ -144,7 +179,7 @@ def fit_bogie(known: Beforehand, runs: Sequence[GroupedRun], start: Curves | Non
     parts = _simulated(known.gear, curves, used)
     if parts is None:
         return _derailed()
-    state = _State(known.gear, curves, np.concatenate([np.zeros(UNKNOWNS), curves.values.ravel()]), parts)
+    state = _State(Reached.at_first(known, curves), parts)
     found: BogieFit | None = None
     for number in range(BOGIE.rounds if start is None else BOGIE.rounds_again):
         first = start is None and number == 0
@@ -173,15 +208,11 @@ def _simulated(gear: Gear, curves: Curves, runs: Sequence[MeasuredRun]) -> tuple
 
 
 def _solved(known: Beforehand, state: _State, bend_std: float) -> BogieFit:
-    information, parts = known.information(bend_std), state.parts
-    expected = np.zeros(len(state.theta))
-    expected[FRICTION] = BOGIE.inverse_friction - state.gear.inverse_friction
-    b = state.curves.values.shape[1]
-    own = np.zeros_like(information)
-    own[UNKNOWNS:, UNKNOWNS:] = BOGIE.held**2 / bend_std**2 * np.eye(2 * b)
-    expected_right = information[:, :UNKNOWNS] @ expected[:UNKNOWNS] + own @ state.theta
+    reached, parts = state.reached, state.parts
+    information, expected_right = reached.expected(known, bend_std)
+    b = reached.curves.values.shape[1]
     visited = np.sum([part.visited for part in parts], axis=0)
-    theta, groups = state.theta, np.array([part.group for part in parts])
+    theta, groups = reached.theta, np.array([part.group for part in parts])
     numbers = np.unique(groups)
     for _ in range(BOGIE.inner_rounds):
         errors = error_spectrum(parts, theta)
@@ -192,9 +223,9 @@ def _solved(known: Beforehand, state: _State, bend_std: float) -> BogieFit:
         theta = np.linalg.solve(whole, wanted)
     without = np.stack([np.linalg.solve(whole - part, wanted + more) for part, more in zip(left, right, strict=True)])
     inverse = np.linalg.inv(whole)
-    least = -state.gear.inverse_friction
+    least = -reached.gear.inverse_friction
     theta, without = _not_below(theta, inverse, least), np.stack([_not_below(one, inverse, least) for one in without])
-    change = (theta[UNKNOWNS:] - state.theta[UNKNOWNS:]).reshape(2, b)
+    change = (theta[UNKNOWNS:] - reached.theta[UNKNOWNS:]).reshape(2, b)
     change -= change[:, [b // 2]]
     moved = float(np.sqrt(np.average(change**2, weights=np.maximum(visited, 1e-9))))
     likeness = np.mean([part.followed.likeness for part in parts], axis=0)
@@ -206,7 +237,7 @@ def _solved(known: Beforehand, state: _State, bend_std: float) -> BogieFit:
         _by_parameter(inverse, known.stds),
         _by_law(whole),
         by_curves @ information[UNKNOWNS:, UNKNOWNS:] @ by_curves.T,
-        state.gear,
+        reached.gear,
         visited,
         likeness,
         open_std,
@@ -243,21 +274,11 @@ def _not_below(theta: FloatArray, inverse: FloatArray, least: float) -> FloatArr
 
 def _moved_on(state: _State, found: BogieFit, runs: Sequence[MeasuredRun], blend: float) -> _State | None:
     """Return the next round's start; a change after which the bogie derails is halved. None where it still does."""
-    values = found.theta[UNKNOWNS:].reshape(2, -1)
-    values = values - values[:, [values.shape[1] // 2]]  # the constant is not observable
     for _ in range(BOGIE.halvings):
-        curves = Curves(state.curves.values + blend * (values - state.curves.values))
-        friction = state.gear.inverse_friction + blend * float(found.theta[FRICTION])
-        gear = replace(
-            state.gear,
-            inverse_friction=min(max(friction, 0.0), BOGIE.most_inverse_friction),
-            moving=_moving(state.gear.vehicle, found.theta),
-        )
-        parts = _simulated(gear, curves, runs)
+        reached = state.reached.towards(found.theta, blend)
+        parts = _simulated(reached.gear, reached.curves, runs)
         if parts is not None:
-            theta = np.concatenate([found.theta[:UNKNOWNS], curves.values.ravel()])
-            theta[FRICTION] = 0.0
-            return _State(gear, curves, theta, parts)
+            return _State(reached, parts)
         blend *= 0.5
     return None
 

@@ -48,6 +48,9 @@ class BogieFitParameters:
     # beforehand
     inverse_friction: float = 3.3  # 1/mu, as ``geometry.uncertainty`` has it
     friction_doubt: float = 1.0  # std of 1/mu as found: 3.3 are found as 1.9 to 2.8
+    stiffness_doubt: float = (
+        0.06  # of k_psi/f11: creep that saturates is taken for softer creep, 1 found as 1.03 to 1.14
+    )
     law_doubt: float = 0.15  # of what saturation takes: laws of creep differ by as much halfway to the bound
     most_inverse_friction: float = 8.0  # that is followed
     inverse_friction_std: float = 1.2  # rails have 2 to 6; the linear law 0
@@ -64,3 +67,27 @@ class BogieFitParameters:
 
 
 BOGIE = BogieFitParameters()
+
+
+@dataclass(frozen=True, slots=True)
+class BogieTrackParameters:
+    """How the alignment of a section is found from the bogies that run over it."""
+
+    start_rounds: int = 4  # with straight curves, of d alone
+    start_share: float = 0.3  # of y, over which bogies are simulated first
+    # m, of curves as they bend from round to round: straight at first, for a jump in the wrong place derails
+    bend_stds: tuple[float, ...] = tuple(1e-6 * bend for bend in (3, 3, 5, 8, 12, 18, 26, 36, 50, 50, 50, 50, 50))
+    held: float = 0.15  # of what is known of parameters: a spring that is off moves the curves, and d hardly
+    response_floor: float = 0.02  # of the square of responses, summed over runs: waves that move no bogie
+    wave_std: float = 1.3e-3  # m, of a wave of d beforehand: more than tracks have
+    fewest_runs: int = 4  # of a place
+    std_factor: float = 1.5  # of what errors of the equations make of d: 0.06 to 0.08 mm for 0.04 to 0.05
+    own_std: float = 0.1e-3  # m, besides: d has errors in common with the runs that it is found from
+    scale_std: float = 0.025  # of y - d: conicities of a fleet are 2 to 4 % off together, with creep linear or not
+    most_moved: float = 0.08e-3  # m, rms by which the last round changes d
+    most_std: float = 0.15e-3  # m, of the waves of the motion, on which a bogie is estimated as one
+    mean_runs: float = 8.0  # of a place, before a solution is tried: it takes minutes
+    most_runs: int = 120  # 6 MB each
+
+
+BOGIE_TRACK = BogieTrackParameters()

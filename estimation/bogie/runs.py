@@ -53,32 +53,37 @@ def bogie_runs(
         usable &= moving_samples(axle.window, parameters.signals)
     both = [integrate(axle.window, usable, parameters.signals).segments for axle in axles]
     for pair in zip(*both, strict=True):
-        ahead = np.stack(
-            [_with_way_there(axle, segment, track, facing, cutoff) for axle, segment in zip(axles, pair, strict=True)]
-        )
+        ways = [
+            _with_way_there(axle, segment, track, facing, cutoff) for axle, segment in zip(axles, pair, strict=True)
+        ]
+        place, ahead = np.stack(ways, axis=1)
         if np.isfinite(ahead).all():
-            yield _run(pair[0], pair[1], ahead, parameters, swapped=swapped)
+            yield _run(pair[0], pair[1], ahead, place, facing, parameters, swapped=swapped)
 
 
 def _with_way_there(
     axle: AxleWindow, segment: IntegratedSegment, track: TrackAlignment, facing: int, cutoff: float
 ) -> FloatArray:
-    """Return d (k,), m, under an axle over its run and a way before it at the speed of its begin."""
+    """Return place and d (2, k), m, of an axle over its run and a way before it at the speed of its begin."""
     at = axle.distance[segment.part]
     dt, speed = axle.window.sample_interval_s, float(segment.speed[0])
     step = np.sign(at[-1] - at[0]) * speed * dt
     before = at[0] + step * np.arange(-round(BOGIE.warm_up_m / (speed * dt)), 0)
     inside = np.clip(before, track.s[0], track.s[-1])  # a bogie that comes from off the section comes along its end
-    d = facing * alignment_at(np.concatenate([inside, at]), track, cutoff)
+    place = np.concatenate([inside, at])
+    d = facing * alignment_at(place, track, cutoff)
     known = np.isfinite(d)
     known[len(before) :] = True
-    return np.asarray(np.where(known, d, d[known & np.isfinite(d)][0] if (known & np.isfinite(d)).any() else np.nan))
+    begin = d[known & np.isfinite(d)][0] if (known & np.isfinite(d)).any() else np.nan
+    return np.stack([place, np.where(known, d, begin)])
 
 
 def _run(
     leading: IntegratedSegment,
     trailing: IntegratedSegment,
     ahead: FloatArray,
+    place: FloatArray,
+    facing: int,
     parameters: WindowParameters,
     *,
     swapped: bool,
@@ -108,4 +113,6 @@ def _run(
         stretch=1.0 + MOTION.hidden_roll_share if leading.level else 1.0,
         swapped=swapped,
         ahead=ahead,
+        place=place,
+        facing=facing,
     )

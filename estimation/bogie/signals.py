@@ -30,6 +30,8 @@ class BogieRun(FrozenArrays):
     stretch: float  # by which ``relative`` falls per rise of the alignment
     swapped: bool  # the axle of the higher number leads
     ahead: Annotated[FloatArray, 2, "k"]  # d under the axles, m, from ``k - n`` samples before the run on
+    place: Annotated[FloatArray, 2, "k"]  # of the axles along the section, m, as far
+    facing: int = 1  # -1 where the left of the vehicle is the right of the section
 
     def __len__(self) -> int:
         return len(self.speed)
@@ -44,6 +46,16 @@ class BogieRun(FrozenArrays):
     def track(self) -> FloatArray:
         """The alignment under the axles during the run (2, n), m."""
         return self.ahead[:, self.ahead.shape[1] - len(self) :]
+
+    @property
+    def onward(self) -> float:
+        """1 where it runs along the section, -1 where against it."""
+        return float(np.sign(self.place[0, -1] - self.place[0, 0]))
+
+    def over(self, ahead: FloatArray) -> BogieRun:
+        """Return the run over another alignment (2, k), m."""
+        more = ahead[:, ahead.shape[1] - len(self) :] - self.track
+        return replace(self, ahead=ahead, relative=self.relative - self.stretch * more)
 
 
 def mixed_displacement(run: BogieRun, simulated: FloatArray) -> FloatArray:
@@ -88,5 +100,4 @@ def placed(run: BogieRun, shift: float) -> BogieRun:
     before = run.ahead.shape[1] - len(run)
     way = np.concatenate([float(run.speed[0]) * run.interval_s * np.arange(-before, 0), run.run])
     ahead = np.stack([np.interp(way + shift, way, row) for row in run.ahead])
-    more = ahead[:, before:] - run.track
-    return replace(run, ahead=ahead, relative=run.relative - run.stretch * more)
+    return replace(run.over(ahead), place=run.place + run.onward * shift)

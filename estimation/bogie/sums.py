@@ -20,7 +20,7 @@ from estimation.bogie.curves import Curves, add_hats, add_means, nodes
 from estimation.bogie.equations import EQUATIONS, PARAMETERS, moving_rows, saturation, terms
 from estimation.bogie.parameters import BOGIE
 from estimation.bogie.signals import BogieRun, Followed, followed, mixed_displacement
-from estimation.bogie.simulation import Gear, simulate
+from estimation.bogie.simulation import Gear, Simulated, simulate
 from estimation.values.arrays import FloatArray, IntArray
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -40,6 +40,19 @@ class Columns:
         total = np.einsum("sepm,p->sem", self.parameters, theta[:p])
         total[:, :2] += np.einsum("sabm,ab->sam", self.hats, theta[p:].reshape(2, -1)[list(axles)])
         return np.asarray(total)
+
+    def dense(self, segment: int, axles: Sequence[int]) -> ComplexArray:
+        """Return the columns (3, u, m) of a segment by all unknowns: parameters, then the curves of both axles."""
+        (_, p, m), b = self.parameters.shape[1:], self.hats.shape[2]
+        whole = np.zeros((EQUATIONS, p + 2 * b, m), dtype=np.complex128)
+        whole[:, :p] = self.parameters[segment]
+        for equation, axle in enumerate(axles):
+            whole[equation, p + axle * b : p + (axle + 1) * b] = self.hats[segment, equation]
+        return whole
+
+    def backwards(self, turn: ComplexArray) -> Columns:
+        """Return those of a run in segments from its other end on; ``turn`` (m,) takes waves from end to end."""
+        return Columns(*(side[::-1].conj() * turn for side in (self.parameters, self.hats)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,26 +79,33 @@ class MeasuredRun:
     @classmethod
     def of(cls, group: int, run: BogieRun, radius: float) -> MeasuredRun:
         """Return a run of wheelsets of a nominal radius, m."""
-        return cls(run, group, _transformed(_cell_means(run, moving_rows(run, run.speed, radius))))
+        return cls.on(Grid.of(run), group, run, radius)
+
+    @classmethod
+    def on(cls, grid: Grid, group: int, run: BogieRun, radius: float) -> MeasuredRun:
+        """Return it in the segments of a grid."""
+        return cls(run, group, grid.transformed(moving_rows(run, run.speed, radius)))
 
 
 @lru_cache(maxsize=8)
-def _band() -> IntArray:
-    wavenumber = np.arange(_cells() // 2 + 1) / BOGIE.segment_m
+def band() -> IntArray:
+    """Return which waves of a segment are used, by how many of them it holds."""
+    wavenumber = np.arange(segment_cells() // 2 + 1) / BOGIE.segment_m
     return np.flatnonzero((wavenumber >= 1.0 / BOGIE.longest_wave) & (wavenumber <= 1.0 / BOGIE.shortest_wave))
 
 
-def _cells() -> int:
+def segment_cells() -> int:
+    """Return how many cells a segment has."""
     return round(BOGIE.segment_m / BOGIE.grid_step)
 
 
 @lru_cache(maxsize=8)
 def _taper() -> tuple[FloatArray, FloatArray, ComplexArray]:
     """Return the taper (n,) of a segment, an orthonormal basis (k, n) of its trend, and its transforms (k, m)."""
-    n = _cells()
+    n = segment_cells()
     powers = np.vander(np.linspace(-1.0, 1.0, n), BOGIE.trend_order + 1, increasing=True)
     taper, trend = np.hanning(n + 2)[1:-1], np.linalg.qr(powers)[0].T
-    return taper, trend, np.fft.rfft(trend * taper, axis=1)[:, _band()]
+    return taper, trend, np.fft.rfft(trend * taper, axis=1)[:, band()]
 
 
 def long_enough(run: BogieRun) -> bool:
@@ -94,53 +114,83 @@ def long_enough(run: BogieRun) -> bool:
 
 
 def _starts(cells: int) -> list[int]:
-    n = _cells()
+    n = segment_cells()
     count = -(-2 * (cells - n) // n) + 1
     return [round(at) for at in np.linspace(0, cells - n, count)]
 
 
-def _cell_means(run: BogieRun, rows: FloatArray) -> FloatArray:
-    cell = run.run / BOGIE.grid_step
+def cell_means(rows: FloatArray, cell: FloatArray) -> FloatArray:
+    """Return the means (r, cells) of rows (r, n) over cells; ``cell`` (n,) is where each sample is."""
     means = np.zeros((len(rows), int(cell[-1])))
     add_means(np.ascontiguousarray(rows), cell, means)
     return means
 
 
-def _hat_means(run: BogieRun, x: FloatArray) -> FloatArray:
+def _hat_means(x: FloatArray, cell: FloatArray) -> FloatArray:
     """Return the means (2, b, cells) of the hats at displacements (2, n)."""
-    places, cell = nodes(), run.run / BOGIE.grid_step
+    places = nodes()
     means = np.zeros((2, len(places), int(cell[-1])))
     for axle in range(2):
         add_hats(np.ascontiguousarray(x[axle]), float(places[0]), 1.0 / BOGIE.node_step, cell, means[axle])
     return means
 
 
-def _transformed(means: FloatArray) -> ComplexArray:
+def transformed(means: FloatArray, starts: Sequence[int]) -> ComplexArray:
     """Return the transforms (..., s, m) of segments of rows (..., cells), in the band; rows of zeros cost nothing."""
     taper, trend, of_trend = _taper()
-    n, rows, starts = len(taper), means.reshape(-1, means.shape[-1]), _starts(means.shape[-1])
+    n, rows = len(taper), means.reshape(-1, means.shape[-1])
     filled = np.flatnonzero(rows.any(axis=1))
-    transforms = np.zeros((len(rows), len(starts), len(_band())), dtype=np.complex128)
+    transforms = np.zeros((len(rows), len(starts), len(band())), dtype=np.complex128)
     for number, start in enumerate(starts):
         part = rows[filled, start : start + n]
-        transforms[filled, number] = np.fft.rfft(part * taper, axis=1)[:, _band()] - (part @ trend.T) @ of_trend
+        transforms[filled, number] = np.fft.rfft(part * taper, axis=1)[:, band()] - (part @ trend.T) @ of_trend
     return transforms.reshape(*means.shape[:-1], *transforms.shape[1:])
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Cells along a run, and its segments."""
+
+    cell: FloatArray  # (n,) where each sample is
+    starts: Sequence[int]  # cells at which segments begin
+
+    @classmethod
+    def of(cls, run: BogieRun) -> Grid:
+        """Return that of a run that is evenly covered."""
+        cell = run.run / BOGIE.grid_step
+        return cls(cell, _starts(int(cell[-1])))
+
+    def transformed(self, rows: FloatArray) -> ComplexArray:
+        """Return the transforms (r, s, m) of rows (r, n)."""
+        return transformed(cell_means(rows, self.cell), self.starts)
 
 
 def spectra(gear: Gear, curves: Curves, of: MeasuredRun) -> Spectra | None:
     """Return the equations of a run that is long enough; None where the bogie derails on these curves."""
-    run, order = of.run, [1, 0] if of.run.swapped else [0, 1]
-    own = Curves(curves.values[order])
-    moved = simulate(gear, own, run)
-    if moved is None:
-        return None
+    own = as_it_runs(curves, of.run)
+    moved = simulate(gear, own, of.run)
+    return None if moved is None else in_segments(gear, own, of, moved, Grid.of(of.run))
+
+
+def as_it_runs(curves: Curves, run: BogieRun) -> Curves:
+    """Return the curves of the axle that leads and of the one that trails."""
+    return Curves(curves.values[_order(run)])
+
+
+def _order(run: BogieRun) -> list[int]:
+    return [1, 0] if run.swapped else [0, 1]
+
+
+def in_segments(gear: Gear, own: Curves, of: MeasuredRun, moved: Simulated, grid: Grid) -> Spectra:
+    """Return the equations of a run, simulated with its own curves, in the segments of a grid."""
+    run, order = of.run, _order(of.run)
     saturated = np.concatenate([saturation(gear, moved, axle) for axle in range(2)])
     of_simulation = moving_rows(moved, run.speed, gear.vehicle.nominal_radius)
-    rows = _transformed(_cell_means(run, np.concatenate([of_simulation, saturated])))
+    rows = grid.transformed(np.concatenate([of_simulation, saturated]))
     simulated, by_saturation = rows[: len(of_simulation)], rows[len(of_simulation) :].reshape(2, 2, *rows.shape[1:])
-    _, instruments, _ = _equations(gear, own, run, simulated, by_saturation, moved.relative)
+    _, instruments, _ = _equations(gear, own, run, grid, simulated, by_saturation, moved.relative)
     mixed = mixed_displacement(run, moved.relative)
-    target, measured, visited = _equations(gear, own, run, of.rows, by_saturation, mixed)
+    target, measured, visited = _equations(gear, own, run, grid, of.rows, by_saturation, mixed)
     follows = followed(run, moved.relative, moved.lateral[0])
     return Spectra(
         target,
@@ -154,7 +204,13 @@ def spectra(gear: Gear, curves: Curves, of: MeasuredRun) -> Spectra | None:
 
 
 def _equations(
-    gear: Gear, curves: Curves, run: BogieRun, rows: ComplexArray, saturated: ComplexArray, x: FloatArray
+    gear: Gear,
+    curves: Curves,
+    run: BogieRun,
+    grid: Grid,
+    rows: ComplexArray,
+    saturated: ComplexArray,
+    x: FloatArray,
 ) -> tuple[ComplexArray, Columns, FloatArray]:
     """Return what is known (s, 3, m), the columns, and how far it ran at each node (2, b), m, leading wheelset first.
 
@@ -162,12 +218,13 @@ def _equations(
         rows, saturated: Of :func:`terms`.
         x: (2, n) by what the curves are looked up, m.
     """
-    columns, hats = np.asarray(terms(gear, rows, saturated), np.complex128), _hat_means(run, x)
+    columns, hats = np.asarray(terms(gear, rows, saturated), np.complex128), _hat_means(x, grid.cell)
     moved_on = -run.stretch * curves.slope(x) * np.gradient(run.track, run.run, axis=1)
-    columns[:2, 1 + PARAMETERS.index("shift")] = _transformed(_cell_means(run, moved_on))
+    columns[:2, 1 + PARAMETERS.index("shift")] = grid.transformed(moved_on)
     columns = np.moveaxis(columns, 2, 0)
     parameters = columns[:, :, 1 + parameters_by_axle(swapped=run.swapped)]
-    return columns[:, :, 0], Columns(parameters, np.moveaxis(_transformed(hats), 2, 0)), BOGIE.grid_step * hats.sum(2)
+    of_curves = Columns(parameters, np.moveaxis(transformed(hats, grid.starts), 2, 0))
+    return columns[:, :, 0], of_curves, BOGIE.grid_step * hats.sum(2)
 
 
 def parameters_by_axle(*, swapped: bool) -> IntArray:

@@ -21,6 +21,7 @@ from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.assumptions import ClassLookup
+from estimation.jobs.steps.bogie_track import with_bogies
 from estimation.jobs.steps.epoch_inputs import Due, EpochSearch, FileLookup, Found, changed_from, otherwise_on_file
 from estimation.jobs.steps.epoch_passes import RunsOnFile, Solved, epoch_passes
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
@@ -214,6 +215,8 @@ def _solve(
         survey_checked=checked,
         measured=lives.curves,
     )
+    of_section = inputs.found.due.section
+    update = with_bogies(inputs.context, of_section, chosen, inputs.known.on_file, made, update, alignment)
     return Solved([record for record, _ in chosen], made, update)
 
 

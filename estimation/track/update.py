@@ -201,11 +201,17 @@ def _without_surveyed_alignment(
     gauge = epoch.judge_gauge(estimate, in_force) if in_force is not None and surveyed and usable else None
     if gauge is not None:
         estimate = epoch.estimate(None)
-    if estimate.alignment is None or not estimate.report.converged:
+    if estimate.alignment is None or not estimate.report.converged or (usable and _by_bogies(in_force)):
         if in_force is None or surveyed or not np.isfinite(in_force.alignment).any():  # at most the gauge is known
             return epoch.update(UpdateOutcome.UNESTIMATED, estimate, None, gauge)
         return epoch.update(UpdateOutcome.KEPT, estimate, in_force)
     return epoch.update(UpdateOutcome.NEW_VERSION, estimate, carry_over_findings(estimate.alignment, in_force), gauge)
+
+
+def _by_bogies(in_force: TrackAlignment | None) -> bool:
+    """Return whether an alignment is that of stiff bogies, which passes of single wheelsets do not better."""
+    of_fleet = in_force is not None and in_force.source == AlignmentSource.FLEET and in_force.findings is None
+    return of_fleet and in_force is not None and bool(np.isfinite(in_force.alignment).any())
 
 
 def _with_survey(epoch: _Epoch, survey: TrackAlignment, *, survey_checked: bool) -> AlignmentUpdate:

@@ -103,7 +103,9 @@ class ReasonCode(MeaningEnum):
     TOO_FEW_PASSES = "No place of the section has enough passes yet."
     SINGLE_WHEELSET = "One wheelset alone cannot separate the track from its own geometry."
     PASSES_ALIKE = "The passes differ too little to separate track and wheelsets."
-    STIFFNESS_OPEN = "In so stiff a bogie the passes cannot separate track and wheelsets. Survey the section."
+    STIFFNESS_OPEN = (
+        "In so stiff a bogie these passes leave the track open. Survey the section, or wait for more passes."
+    )
     JOURNEY_INDETERMINATE = "The journey is too short, or too few others passed there."
     JOURNEY_DISAGREES = "The journey agrees with no other."
     OFFSET_TOO_LARGE = "The position error is larger than what is searched. Check the position source."

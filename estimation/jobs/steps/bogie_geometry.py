@@ -15,12 +15,12 @@ import numpy as np
 
 from estimation.bogie.fit import Beforehand, BogieFit, GroupedRun, fit_bogie
 from estimation.bogie.geometry import curve_replicates
-from estimation.bogie.parameters import BOGIE
+from estimation.bogie.parameters import BOGIE, BOGIE_TRACK
 from estimation.bogie.runs import AxleWindow, bogie_runs
 from estimation.bogie.signals import BogieRun
 from estimation.errors import DamagedError, NotFoundError
 from estimation.geometry.conicity import CurveReplicates
-from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.geometry.uncertainty import ParameterUncertainty, alignment_std
 from estimation.jobs.parameters import JOBS, WORK
 from estimation.jobs.stage import made_from
 from estimation.jobs.steps.assumptions import Assumed, Membership
@@ -47,6 +47,13 @@ def held_by_spring(vehicle_class: VehicleClass) -> bool:
     p = vehicle_class.parameters
     rolling = 2.0 * p.half_contact_distance**2 * p.longitudinal_creep_coefficient * 2.0 * np.pi / BOGIE.usual_wave
     return bool(p.yaw_stiffness >= BOGIE.least_spring_share * (p.yaw_stiffness + rolling))
+
+
+def known_well(track: TrackAlignment | None) -> bool:
+    """Return whether a bogie can be estimated as one over an alignment: a survey, or one that the fleet knows well."""
+    if track is None or track.source is AlignmentSource.RECORDED:
+        return track is not None
+    return alignment_std(track, ParameterUncertainty()) <= BOGIE_TRACK.most_std
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,18 +144,16 @@ class BogieWindows:
         return FittedBogie(fit, (chosen[-1].window.record.axle - 1) % 2, len(pairs), std)
 
     def _chosen(self, members: Sequence[Member]) -> list[Member]:
-        """Return the windows that stand for all: on the vehicle of the newest, on a recorded alignment."""
-        usable = [member for member in members if not member.window.samples_purged and self._recorded(member)]
+        """Return the windows that stand for all: on the vehicle of the newest, on an alignment that is known well."""
+        usable = [
+            member for member in members if not member.window.samples_purged and known_well(self._alignment(member))
+        ]
         if not usable:
             return []
         newest = usable[-1].window.record
         same = [m for m in usable if (m.window.record.vehicle, m.window.record.axle) == (newest.vehicle, newest.axle)]
         by_chance = sorted(same, key=lambda m: hashlib.sha256(f"{newest.vehicle} {m.start_ns}".encode()).digest())
         return sorted(by_chance[: JOBS.bogie_windows], key=lambda m: m.start_ns)
-
-    def _recorded(self, member: Member) -> bool:
-        track = self._alignment(member)
-        return track is not None and track.source is AlignmentSource.RECORDED
 
     def _alignment(self, member: Member) -> TrackAlignment | None:
         section, version = member.window.record.track_section, member.window.track_version

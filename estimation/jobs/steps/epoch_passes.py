@@ -15,6 +15,7 @@ from estimation.jobs.work import fails_alone
 from estimation.motion.checks import gate, straight_part
 from estimation.storage import UnitOfWork
 from estimation.track.gridded_pass import resampled
+from estimation.track.iteration import Grouped
 from estimation.track.passes import Entry, Journey, Pass, PassStatus, examine, following, joined
 from estimation.track.update import AlignmentUpdate
 from estimation.values.reasons import Reason, ReasonCode
@@ -41,6 +42,10 @@ class EpochPasses:
     def windows(self, item: Pass) -> Sequence[WindowKey]:
         """Return the windows of a pass."""
         return self.members[item.wheelset, item.start_ns]
+
+    def journeys(self, grouped: Grouped) -> dict[WindowKey, Journey]:
+        """Return the journey of every window whose pass was used."""
+        return {key: journey for journey, members in grouped.items() for item in members for key in self.windows(item)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,12 +217,7 @@ def _positions(
 ) -> Sequence[WindowPosition]:
     """Return where the windows were, as far as it has been found."""
     update = epoch.update
-    journey_of = {  # of every window whose pass was used
-        key: journey
-        for journey, members in update.estimate.grouped.items()
-        for item in members
-        for key in epoch.passes.windows(item)
-    }
+    journey_of = epoch.passes.journeys(update.estimate.grouped)
     unused = {
         key: outcome
         for item, outcome in zip(epoch.passes.found, update.pass_outcomes, strict=True)

@@ -64,8 +64,10 @@ class EstimatedWith:
         found = None if bogie is None else bogie.replicates(self.bins, self.uncertainty)
         if not isinstance(found, Reason):
             return estimate_geometry(table, self.bins, self.geometry, found)
-        doubt = Contradiction(found, certain=False, relative=0.0)
-        return estimate_geometry(table, self.bins, self.geometry).against(doubt)
+        # a stiff bogie that does not move as one of its class would: alone its wheelsets are as wrong, and do not show it
+        certain = found.code is ReasonCode.MOTION_UNEXPLAINED
+        against = Contradiction(found, certain=certain, relative=0.0)
+        return estimate_geometry(table, self.bins, self.geometry).against(against)
 
     def as_json(self) -> Mapping[str, JsonValue]:
         """Return all of it, for the provenance: the class by code, version and digest, the radius, the settings."""

@@ -25,9 +25,9 @@ LATERAL_NOISE, ANGULAR_NOISE = 1e-3, 2e-3  # m/s2 and rad/s2 per root hertz
 
 
 @cache
-def motions(seconds: int, seed: int) -> tuple[WheelsetMotion, ...]:
+def motions(seconds: int, seed: int, cones: tuple[float, float] = CONES) -> tuple[WheelsetMotion, ...]:
     """Return the motion of the leading and the trailing wheelset."""
-    tables = [SmoothTable(cone) for cone in CONES]
+    tables = [SmoothTable(cone) for cone in cones]
     gear = RunningGear(wheelset(COACH), BOGIE)
     return simulate_gear(gear, tables, track(seed), np.full(seconds * 1000, 20.0), 500.0)
 
@@ -39,9 +39,17 @@ def true_conicity(row: int) -> np.ndarray:
     return equivalent_conicity(table.standard_displacement, difference, AMPLITUDES)
 
 
-def runs(count: int, seed: int, *, noise: float = 1.0, mirrored: bool = False) -> list[tuple[int, BogieRun]]:
+def runs(
+    count: int,
+    seed: int,
+    *,
+    noise: float = 1.0,
+    mirrored: bool = False,
+    cones: tuple[float, float] = CONES,
+    noise_seed: int = 0,
+) -> list[tuple[int, BogieRun]]:
     """Return runs of a minute, each with its group; ``mirrored``: over an alignment with the other sign."""
-    rng, both = np.random.default_rng(seed), motions(60 * count, seed)
+    rng, both = np.random.default_rng(seed + 100 * noise_seed), motions(60 * count, seed, cones)
     return [(number, _run(both, number, rng, noise, seed, mirrored=mirrored)) for number in range(count)]
 
 
@@ -69,11 +77,12 @@ def _run(
     lateral, yaw = measured("lateral", angular=False), measured("yaw", angular=True)
     roll, above = measured("roll", angular=True), measured("mass", angular=False)
     sign = -1.0 if mirrored else 1.0
-    ahead, of = [], track(seed)
+    ahead, places, of = [], [], track(seed)
     for motion in both:
         at = motion.distance[part]
         before = at[0] - 20.0 * DT * np.arange(1000, 0, -1)
-        ahead.append(sign * CubicSpline(of.s, of.alignment)(np.concatenate([before, at])))
+        places.append(np.concatenate([before, at]))
+        ahead.append(sign * CubicSpline(of.s, of.alignment)(places[-1]))
     height = GEAR.vehicle.nominal_radius
     relative = [
         standard_displacement(lateral[0, row] - ahead[row][1000:], roll[0, row], height, level=False)
@@ -91,6 +100,7 @@ def _run(
         stretch=1.0,
         swapped=False,
         ahead=np.stack(ahead),
+        place=np.stack(places),
     )
 
 

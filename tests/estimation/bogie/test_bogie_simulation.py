@@ -38,6 +38,7 @@ def _run(seconds: float = SECONDS) -> BogieRun:
         interval_s=DT, speed=np.full(n, SPEED), lateral=nothing, yaw=nothing, roll=nothing[:2],
         frame_lateral=nothing[0], frame_yaw=nothing[:, 0], relative=nothing[0], stretch=1.0, swapped=False,
         ahead=np.stack([spline(at), spline(at - GEAR.bogie.wheelbase)]),
+        place=np.stack([at, at - GEAR.bogie.wheelbase]),
     )  # fmt: skip
 
 

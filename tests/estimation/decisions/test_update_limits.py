@@ -278,3 +278,12 @@ def test_without_passes_what_is_in_force_stays() -> None:
     ):
         found = update_alignment(section, [], in_force, SETTINGS, survey_checked=False)
         assert (found.outcome, found.alignment, found.pass_outcomes) == (outcome, expected, ())
+
+
+@pytest.mark.parametrize(("findings", "outcome"), [(None, UpdateOutcome.KEPT), (NO_SHIFT, UpdateOutcome.NEW_VERSION)])
+def test_passes_of_single_wheelsets_do_not_better_the_alignment_of_bogies(
+    findings: TrackFindings | None, outcome: UpdateOutcome
+) -> None:
+    in_force = replace(FLEET, findings=findings, cutoff_wavelength=SETTINGS.section.cutoff_wavelength)
+    made = _without_surveyed_alignment(epoch(FLEET, CERTAIN), in_force, survey_checked=False)
+    assert made.outcome is outcome
