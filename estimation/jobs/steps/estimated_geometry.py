@@ -64,10 +64,7 @@ class EstimatedWith:
         found = None if bogie is None else bogie.replicates(self.bins, self.uncertainty)
         if not isinstance(found, Reason):
             return estimate_geometry(table, self.bins, self.geometry, found)
-        # a stiff bogie that does not move as one of its class would: alone its wheelsets are as wrong, and do not show it
-        certain = found.code is ReasonCode.MOTION_UNEXPLAINED
-        against = Contradiction(found, certain=certain, relative=0.0)
-        return estimate_geometry(table, self.bins, self.geometry).against(against)
+        return estimate_geometry(table, self.bins, self.geometry).against(against_bogie(found))
 
     def as_json(self) -> Mapping[str, JsonValue]:
         """Return all of it, for the provenance: the class by code, version and digest, the radius, the settings."""
@@ -82,6 +79,14 @@ class EstimatedWith:
             "vehicle_class": of_class,
             "vehicle": asdict(self.assumed.window_parameters.vehicle),
         }
+
+
+def against_bogie(reason: Reason) -> Contradiction:
+    """Return what it says of a wheelset that its bogie is not found.
+
+    Where a stiff bogie does not move as one of its class, a wheelset alone is as wrong and does not show it.
+    """
+    return Contradiction(reason, certain=reason.code is ReasonCode.MOTION_UNEXPLAINED, relative=0.0)
 
 
 def no_geometry(settings: EstimationSettings, parameter_key: str) -> WheelsetGeometry:

@@ -102,6 +102,7 @@ def test_what_is_found_of_friction_is_doubted() -> None:
     fit = _fit_like(by_parameter=_friction_alone(1.0))
     assert fit.inverse_friction[1] == pytest.approx(1.0, rel=0.01)
     assert BOGIE.friction_doubt == 1.0
+    assert fit.stiffness_ratio[1] == pytest.approx(0.06), "saturated creep is taken for soft creep"
 
 
 def test_what_saturation_takes_is_doubted_by_a_seventh() -> None:
