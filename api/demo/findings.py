@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import urllib.parse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
 from pathlib import Path
@@ -60,7 +60,7 @@ class WheelsetLine:
 def lines(service: ServiceAddress, truth: Path, fleet: str) -> list[WheelsetLine]:
     """Ask the REST API for the worklist of a fleet; the most urgent first."""
     true = true_campaigns(truth)
-    rows = _wheelsets(service, fleet, sort="urgency")
+    rows = _wheelsets(service, fleet=fleet, sort="urgency")
     return [_line(row["serial"], row["state"], true[row["serial"]], _estimated_km(service, row)) for row in rows]
 
 
@@ -70,8 +70,8 @@ def _estimated_km(service: ServiceAddress, row: dict[str, Any]) -> float | None:
     return None if geometry is None else geometry["mileage_km"]
 
 
-def _wheelsets(service: ServiceAddress, fleet: str, **query: str) -> list[dict[str, Any]]:
-    asked = urllib.parse.urlencode({"fleet": fleet, **query, "limit": 1000})
+def _wheelsets(service: ServiceAddress, **query: str) -> list[dict[str, Any]]:
+    asked = urllib.parse.urlencode({**query, "limit": 1000})
     return list(get(service, f"/v1/wheelsets?{asked}")["items"])
 
 
@@ -140,7 +140,7 @@ def _distance(forecast: dict[str, Any]) -> str:
 ESTIMATE = ("of km since new", "true", "conicity at 3 mm [95 %]", "covers")
 OUTLOOK = ("slope per 1,000 km [95 %]", r"km to the limit \[p10, p90]")
 ALERTS = ("open alerts",)
-TITLE = "Wheel-rail wear of the fleet, from the REST API; the most urgent first"
+TITLE = "Wheel-rail wear, from the REST API; of each fleet the most urgent first"
 
 
 def tables(wheelsets: list[WheelsetLine], console: Console) -> list[Table]:
@@ -185,7 +185,7 @@ def second_opinions(
     service: ServiceAddress, scenario: Scenario, true: Mapping[str, Sequence[Mapping[str, Any]]]
 ) -> Iterator[SecondOpinion]:
     """Ask the REST API for a fleet's wheelsets without a geometry, and for the low adhesion that it found."""
-    for row in _wheelsets(service, scenario.fleet_code):
+    for row in _wheelsets(service, fleet=scenario.fleet_code):
         said = _by_signature(service, row["serial"], true)
         if said is not None:
             yield said
@@ -281,11 +281,11 @@ def _alignment_words(newest: dict[str, Any], report: dict[str, Any] | None) -> s
 NOTHING_TO_DO = (Urgency.FINE, Urgency.NOT_MOUNTED)
 
 
-def to_do(service: ServiceAddress, fleet: str) -> list[str]:
-    """Ask the REST API for the worklist of a fleet; return a sentence for each wheelset that needs somebody."""
+def to_do(service: ServiceAddress, serials: Collection[str]) -> list[str]:
+    """Ask the REST API for the worklist; return a sentence for each of some wheelsets that needs somebody."""
     sentences = []
-    for row in _wheelsets(service, fleet, sort="urgency"):
-        if row["state"]["urgency"] not in NOTHING_TO_DO:
+    for row in _wheelsets(service, sort="urgency"):
+        if row["serial"] in serials and row["state"]["urgency"] not in NOTHING_TO_DO:
             reasons = "; ".join(reason["text"] for reason in row["state"]["reasons"])
             sentences.append(f"{row['serial']} (vehicle {row['vehicle']}, axle {row['axle']}): {reasons}")
     return sentences

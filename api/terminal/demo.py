@@ -279,7 +279,8 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
             highlight=False,
         )
         console.print("[bold]what to do, the most urgent first[/bold]")
-        for sentence in to_do(service, fleets[0].scenario.fleet_code):
+        shown = {serial for fleet in _followed(fleets) for serial in true_campaigns(fleet.report.truth)}
+        for sentence in to_do(service, shown):
             console.print(f"  {sentence}", highlight=False)
         if keep_serving:
             _print_urls(service, console)
@@ -303,20 +304,26 @@ def _empty(folder: Path) -> None:
 
 def _print_findings(service: ServiceAddress, fleets: Sequence[Simulated], console: Console) -> list[bool]:
     """Print what the API says of each fleet and of its track; return of each interval whether it covers."""
-    covered: list[bool] = []
-    for number, fleet in enumerate(fleets):
-        truth = fleet.report.truth
-        wheelsets = lines(service, truth, fleet.scenario.fleet_code)
-        if number == 0:
-            for table in tables(wheelsets, console):
-                console.print(table)
-        covered += [line.covers for line in wheelsets if line.covers is not None]
-        for text, covers in second_opinions(service, fleet.scenario, true_campaigns(truth)):
+    of_fleets = {
+        fleet.scenario.fleet_code: lines(service, fleet.report.truth, fleet.scenario.fleet_code) for fleet in fleets
+    }
+    covered = [line.covers for wheelsets in of_fleets.values() for line in wheelsets if line.covers is not None]
+    for table in tables(
+        [line for fleet in _followed(fleets) for line in of_fleets[fleet.scenario.fleet_code]], console
+    ):
+        console.print(table)
+    for fleet in fleets:
+        for text, covers in second_opinions(service, fleet.scenario, true_campaigns(fleet.report.truth)):
             console.print(text, highlight=False)
             covered += [] if covers is None else [covers]
     for sentence in track_lines(service):
         console.print(sentence, highlight=False)
     return covered
+
+
+def _followed(fleets: Sequence[Simulated]) -> list[Simulated]:
+    """Return the first fleet, and those beside it that run more than once, so that they have a trend."""
+    return [fleet for number, fleet in enumerate(fleets) if not number or fleet.scenario.sessions.campaigns > 1]
 
 
 def _print_urls(service: ServiceAddress, console: Console) -> None:

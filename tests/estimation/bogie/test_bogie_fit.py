@@ -56,7 +56,7 @@ def test_conicities_of_both_wheelsets_are_within_their_intervals(row: int) -> No
 def test_springs_and_friction_are_found() -> None:
     fit = _fitted(1)
     ratio, std = fit.stiffness_ratio
-    assert abs(ratio - 1.0) < 3 * std < 0.15
+    assert abs(ratio - 1.0) < 3 * std < 0.25
     assert fit.inverse_friction[0] < 1.0  # of linear creep: 3.3 are expected beforehand
     assert fit.likeness.min() > 0.97
 
