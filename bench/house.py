@@ -141,7 +141,7 @@ def figures(root: Path) -> dict[str, int]:
 def static_counts(root: Path) -> Iterator[Count]:
     """Yield what is counted from the sources alone."""
     sources = [text for _, text in _sources(root)]
-    yield Count("product lines", "119363", str(sum(len(text.splitlines()) for text in sources)), "<= 94500")
+    yield Count("product lines", "119363", str(sum(len(text.splitlines()) for text in sources)), "<= 95000")
     yield Count("modules", "981", str(len(sources)), "<= 640")
     lines = sum(len(text.splitlines()) for _, text in _sources(root, ("bench",)))
     yield Count("bench lines", "18079", str(lines), "<= 12000")

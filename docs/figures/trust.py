@@ -25,6 +25,7 @@ INK, GOOD, BAD, PALE = "#222222", "#2f6f9f", "#d1495b", "#c9d3dc"
 AMPLITUDE = 3e-3  # m
 FORECASTS = 60
 HORIZON_KM = 500_000.0
+MOST_SHARE = 2.0  # of the half width; what is further off stands there
 
 Case = Mapping[str, Any]
 
@@ -52,23 +53,26 @@ def _by_row(cases: Sequence[Case]) -> dict[str, list[Case]]:
 
 
 def _intervals(axes: Axes, cases: Sequence[Case]) -> None:
-    """Draw the error of every published conicity, by its half width, and where 95 of 100 should be."""
+    """Draw the error of every published conicity over its half width, by the half width: 95 of 100 should be within."""
     compared = (number for case in cases for item in case["wheelsets"] for number in item["compared"])
     published = [number for number in compared if number is not None]
     error, half = 1e3 * np.array([number[:2] for number in published]).T
+    share = np.clip(error / half, -MOST_SHARE, MOST_SHARE)
     outside = np.abs(error) > half
-    axes.fill_between([0.5, 300.0], [-0.5, -300.0], [0.5, 300.0], color=PALE, alpha=0.6, linewidth=0)
-    axes.scatter(half[~outside], error[~outside], s=5, color=GOOD, alpha=0.35, linewidths=0)
-    axes.scatter(half[outside], error[outside], s=10, color=BAD, linewidths=0)
+    axes.axhspan(-1.0, 1.0, color=PALE, alpha=0.6, linewidth=0)
+    axes.axhline(0.0, color=INK, linewidth=0.6)
+    axes.scatter(half[~outside], share[~outside], s=6, color=GOOD, alpha=0.4, linewidths=0)
+    axes.scatter(half[outside], share[outside], s=10, color=BAD, linewidths=0)
     axes.set_xscale("log")
-    axes.set_yscale("symlog", linthresh=1.0)
-    axes.set_xlim(max(float(half.min()) * 0.8, 0.5), float(half.max()) * 1.2)
-    axes.set_ylim(-200.0, 200.0)
-    axes.set_xlabel("half width of the 95 % interval, thousandths of conicity")
-    axes.set_ylabel("estimated less true, thousandths")
-    share = 100.0 * float(np.mean(~outside))
+    axes.set_ylim(-MOST_SHARE * 1.05, MOST_SHARE * 1.05)
+    ticks = [width for width in (2, 5, 10, 20, 50, 100, 200) if half.min() <= width <= half.max()]
+    axes.set_xticks(ticks, [f"{width / 1e3:g}" for width in ticks])
+    axes.minorticks_off()
+    axes.set_xlabel("half width of the 95 % interval of the conicity")
+    axes.set_ylabel("estimated less true, over the half width")
+    held = 100.0 * float(np.mean(~outside))
     axes.set_title(
-        f"{len(error):,} conicities at 1 to 3 mm: the interval (grey) holds the truth in {share:.1f} %",
+        f"{len(error):,} conicities at 1 to 3 mm: the interval (grey) holds the truth in {held:.1f} %",
         loc="left",
         fontsize=10,
     )

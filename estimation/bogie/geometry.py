@@ -13,6 +13,8 @@ from estimation.geometry.conicity import CurveReplicates
 from estimation.geometry.uncertainty import DisplacementError, ParameterUncertainty
 from estimation.values.arrays import FloatArray, bin_centres
 from estimation.values.error_parts import ErrorSource
+from estimation.values.geometry import Contradiction
+from estimation.values.reasons import Reason, ReasonCode
 
 _BY_NAME = {
     "stiffness": ErrorSource.STIFFNESS,
@@ -74,6 +76,25 @@ def curve_replicates(
         contact_roll=uncertainty.contact_roll,
         sources=(*SOURCES, ErrorSource.FRICTION, *[ErrorSource.BLUR] * len(of_bends), ErrorSource.SCALE),
     )
+
+
+def spring_differs(fit: BogieFit, class_std: float) -> Contradiction | None:
+    """Return that the springs of a bogie, over its creep, are not those of its class; None where they may be.
+
+    Args:
+        class_std: Relative std of the yaw stiffness over the creep coefficient on file.
+    """
+    ratio, std = fit.stiffness_ratio
+    both = float(np.hypot(std, class_std))
+    if abs(ratio - 1.0) <= BOGIE.doubted_spring_stds * both:
+        return None
+    text = (
+        f"yaw stiffness over creep coefficient is {ratio:.2f} of that of the vehicle's class (std {both:.2f});"
+        " check the class, or put the std of its creep on file: dirty rails have half the creep of clean ones"
+    )
+    certain = abs(ratio - 1.0) > BOGIE.certain_spring_stds * both
+    reason = Reason(ReasonCode.YAW_SPRING_DIFFERS, text)
+    return Contradiction(reason, certain, BOGIE.spring_share * abs(ratio - 1.0))
 
 
 def in_bins(curves: FloatArray) -> FloatArray:

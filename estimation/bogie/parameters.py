@@ -61,6 +61,10 @@ class BogieFitParameters:
     usual_speed: float = 20.0  # m/s
     least_spring_share: float = 0.8  # of the yaw spring in spring and rolling: coaches have 0.93, soft bogies 0.36
     groups: int = 16  # of the jackknife
+    # test of the springs: what is found of k_psi/f11 against the stds of the class, over the std of both
+    doubted_spring_stds: float = 2.0  # right ones have at most 1.1, with creep after Polach on dry rails 2.8 to 3.6
+    certain_spring_stds: float = 4.0
+    spring_share: float = 0.2  # of a conicity, per share by which the springs differ: with that creep 5 % for 0.39
     # published
     least_bend_share: float = 1e-6  # of the largest variance of the curves by their bends: less is left out
     least_visited: float = 40.0  # m run at a node

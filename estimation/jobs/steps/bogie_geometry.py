@@ -7,6 +7,7 @@ choose the same ones, and a new window seldom changes which.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from estimation.bogie.fit import Beforehand, BogieFit, GroupedRun, fit_bogie
-from estimation.bogie.geometry import curve_replicates
+from estimation.bogie.geometry import curve_replicates, spring_differs
 from estimation.bogie.parameters import BOGIE, BOGIE_TRACK
 from estimation.bogie.runs import AxleWindow, bogie_runs
 from estimation.bogie.signals import BogieRun
@@ -30,6 +31,7 @@ from estimation.motion.checks import away_from_low_adhesion
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import BinParameters
 from estimation.values.fields import JsonValue
+from estimation.values.geometry import Contradiction
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.roll_up import Member
 from estimation.values.track import AlignmentSource, Correction, TrackAlignment, TrackLayout
@@ -70,6 +72,16 @@ class FittedBogie:
         if isinstance(self.fit, Reason):
             return self.fit
         return curve_replicates(self.fit, self.axle, bins.edges, uncertainty, self.sensors_std, float(self.windows))
+
+    def against(self, vehicle_class: VehicleClass) -> Contradiction | None:
+        """Return what it says against the class of its vehicle.
+
+        Where a stiff bogie does not move as one of its class, a wheelset alone is as wrong and does not show it.
+        """
+        if isinstance(self.fit, Reason):
+            return Contradiction(self.fit, certain=self.fit.code is ReasonCode.MOTION_UNEXPLAINED, relative=0.0)
+        stds = (vehicle_class.std_of(name) for name in ("yaw_stiffness", "longitudinal_creep_coefficient"))
+        return spring_differs(self.fit, math.hypot(*stds))
 
 
 def stated_of(found: FittedBogie | None) -> Mapping[str, JsonValue]:

@@ -61,10 +61,12 @@ class EstimatedWith:
 
     def estimated(self, table: BinTable, bogie: FittedBogie | None = None) -> WheelsetGeometry:
         """Return the geometry of windows; R is that of their bogie where that was found."""
-        found = None if bogie is None else bogie.replicates(self.bins, self.uncertainty)
-        if not isinstance(found, Reason):
-            return estimate_geometry(table, self.bins, self.geometry, found)
-        return estimate_geometry(table, self.bins, self.geometry).against(against_bogie(found))
+        if bogie is None:
+            return estimate_geometry(table, self.bins, self.geometry)
+        replicates = bogie.replicates(self.bins, self.uncertainty)
+        curve = None if isinstance(replicates, Reason) else replicates
+        geometry = estimate_geometry(table, self.bins, self.geometry, curve)
+        return geometry.against(bogie.against(self.assumed.window_parameters.vehicle_class))
 
     def as_json(self) -> Mapping[str, JsonValue]:
         """Return all of it, for the provenance: the class by code, version and digest, the radius, the settings."""
@@ -79,14 +81,6 @@ class EstimatedWith:
             "vehicle_class": of_class,
             "vehicle": asdict(self.assumed.window_parameters.vehicle),
         }
-
-
-def against_bogie(reason: Reason) -> Contradiction:
-    """Return what it says of a wheelset that its bogie is not found.
-
-    Where a stiff bogie does not move as one of its class, a wheelset alone is as wrong and does not show it.
-    """
-    return Contradiction(reason, certain=reason.code is ReasonCode.MOTION_UNEXPLAINED, relative=0.0)
 
 
 def no_geometry(settings: EstimationSettings, parameter_key: str) -> WheelsetGeometry:

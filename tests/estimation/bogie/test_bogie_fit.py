@@ -19,7 +19,7 @@ from estimation.bogie.signals import followed, placed
 from estimation.bogie.sums import UNKNOWNS
 from estimation.geometry.conicity import CurveEstimates, CurveParameters, curve_estimates
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.jobs.steps.bogie_geometry import held_by_spring
+from estimation.jobs.steps.bogie_geometry import FittedBogie, held_by_spring
 from estimation.tables.bin_table import BinParameters
 from estimation.values.reasons import Reason, ReasonCode
 
@@ -200,3 +200,27 @@ def test_what_is_known_beforehand_is_that_of_the_class() -> None:
     known = dict(zip(("k", "ky", "friction"), Beforehand.of(CLASS).stds, strict=False))
     assert known == {"k": CLASS.std_of("yaw_stiffness"), "ky": CLASS.std_of("lateral_stiffness"), "friction": 1.2}
     assert Beforehand.of(CLASS).gear.inverse_friction == 3.3
+
+
+def test_a_bogie_that_does_not_move_as_its_class_is_not_published_and_one_that_ran_too_little_is() -> None:
+    moves_otherwise, ran_too_little = (
+        FittedBogie(Reason(code, ""), 0, 8, 0.0).against(CLASS)
+        for code in (ReasonCode.MOTION_UNEXPLAINED, ReasonCode.TOO_FEW_BLOCKS)
+    )
+    assert moves_otherwise is not None
+    assert ran_too_little is not None
+    assert moves_otherwise.certain
+    assert not ran_too_little.certain
+
+
+def test_springs_over_creep_that_no_bogie_of_its_class_has_are_doubted_then_refused() -> None:
+    class_std = np.hypot(CLASS.std_of("yaw_stiffness"), CLASS.std_of("longitudinal_creep_coefficient"))
+    both = np.hypot(class_std, 0.06)
+    for stds, certain in ((1.95, None), (2.05, False), (3.95, False), (4.05, True)):
+        theta = _fit_like().theta.copy()
+        theta[PARAMETERS.index("yaw_stiffness")] = stds * both
+        said = FittedBogie(_fit_like(theta=theta, without=np.tile(theta, (8, 1))), 0, 8, 0.0).against(CLASS)
+        assert (None if said is None else said.certain) is certain
+        if said is not None:
+            assert said.relative == pytest.approx(0.2 * stds * both)
+            assert said.reason.code is ReasonCode.YAW_SPRING_DIFFERS

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from smooth_wheelset import mems_windows, run
 
-from estimation.jobs.steps.estimated_geometry import CONTRADICTIONS, against_bogie, contradiction
+from estimation.jobs.steps.estimated_geometry import CONTRADICTIONS, contradiction
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, VehicleRecord, WheelsetRecord
 from estimation.values.windows import Window, WindowState
@@ -72,11 +72,3 @@ def test_what_was_more_than_a_day_earlier_has_been_repaired(
     left = [hour, hour + 1, hour + 2]
     put(sqlite_storage, [102, 103], left, ReasonCode.SENSOR_TURNED)
     assert (found(sqlite_storage, left) is not None) == against
-
-
-def test_a_bogie_that_does_not_move_as_its_class_is_not_published_and_one_that_ran_too_little_is() -> None:
-    moves_otherwise, ran_too_little = (
-        against_bogie(Reason(code, "")) for code in (ReasonCode.MOTION_UNEXPLAINED, ReasonCode.TOO_FEW_BLOCKS)
-    )
-    assert moves_otherwise.certain
-    assert not ran_too_little.certain
