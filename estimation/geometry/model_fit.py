@@ -56,6 +56,9 @@ class RollingFitParameters:
     friction_share: float = 0.3  # of the radius, per share by which the suspension moves more than on dry rails
     scale_share: float = 0.5  # of the radius, per scale of yaw against lateral sensor that sensors do not have
     inertia_share: float = 0.15  # of the radius, per share of inertia that the wheelset lacks or has too much of
+    scale_doubted_stds: float = (
+        2.5  # of yaw against lateral sensor: right ones have at most 2, some of 1 % off have 3.5
+    )
     most_unexplained_share: float = 0.2  # of the power of what the roll moves: beyond, contact jumps move the wheelset
     fewest_parts: int = 8
     doubted_stds: float = 2.0  # stds beyond which the radius on file is in doubt: right ones have 0.6 rms, at most 2.5
@@ -257,6 +260,39 @@ class RollingRadius:
     value: float  # m
     std: float  # m
     bound: float  # m, of its std: what the noise of the sensors alone leaves (Cramer and Rao)
+    scale: float  # of the yaw sensor against the lateral one
+
+
+def check_rolling(
+    parts: Sequence[RollingSums],
+    on_file: float,
+    relative_std: float = 0.0,
+    *,
+    measured: bool = False,
+    scale_std: float | None = None,
+) -> Contradiction | None:
+    """Return what the rolling motion has against the nominal radius or the scales of the sensors, or leaves open.
+
+    Args:
+        scale_std: Of yaw against lateral sensor, on file; None where creep that saturates looks like another scale.
+    """
+    radius = check_radius(parts, on_file, relative_std, measured=measured)
+    scale = None if scale_std is None or len(parts) < ROLLING.fewest_parts else _scale_differs(parts, scale_std)
+    if scale is None or (radius is not None and (radius.certain or radius.relative > scale.relative)):
+        return radius
+    return scale
+
+
+def _scale_differs(parts: Sequence[RollingSums], scale_std: float) -> Contradiction | None:
+    found, std = rolling_radius(parts), math.hypot(EXPECTED_STD[_SCALE], scale_std)
+    off = 0.0 if found is None else abs(found.scale - 1.0)
+    if found is None or off <= ROLLING.scale_doubted_stds * std:
+        return None
+    text = (
+        f"the yaw sensor measures {found.scale:.3f} times what the lateral one does,"
+        f" {ROLLING.scale_doubted_stds * std:.1%} more or less may be; calibrate both, or put their std on file"
+    )
+    return Contradiction(Reason(ReasonCode.SCALE_DIFFERS, text), certain=False, relative=off)
 
 
 def check_radius(
@@ -346,7 +382,7 @@ def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
         ROLLING.scale_share * best[_RADIUS] * abs(best[_SCALE] - 1.0),
         ROLLING.inertia_share * best[_RADIUS] * abs(best[_INERTIA] - 1.0),
     ]
-    return RollingRadius(float(best[_RADIUS]), float(np.linalg.norm(stds)), bound)
+    return RollingRadius(float(best[_RADIUS]), float(np.linalg.norm(stds)), bound, float(best[_SCALE]))
 
 
 def _std_of_bands(weights: FloatArray, by_band: FloatArray) -> float:

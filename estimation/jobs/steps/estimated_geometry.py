@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 
 from estimation.errors import DamagedError, NotFoundError
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
-from estimation.geometry.model_fit import check_radius
+from estimation.geometry.model_fit import check_rolling
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.parameters import JOBS
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.assumptions import Assumed, Membership
-from estimation.jobs.steps.bogie_geometry import FittedBogie
+from estimation.jobs.steps.bogie_geometry import FittedBogie, held_by_spring
 from estimation.jobs.steps.load_window import load_window
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.storage import UnitOfWork
@@ -145,7 +146,11 @@ class RadiusOnFile:
             of_class = assumed.window_parameters.vehicle_class
             radius, std = of_class.parameters.nominal_radius, of_class.std_of("nominal_radius")
             measured = "nominal_radius" in of_class.relative_std
-            self._checked[same] = check_radius(parts, radius, std, measured=measured)
+            sensors = of_class.sensors
+            scale_std = math.hypot(sensors.yaw.scale_std, sensors.lateral.scale_std)
+            self._checked[same] = check_rolling(
+                parts, radius, std, measured=measured, scale_std=None if held_by_spring(of_class) else scale_std
+            )
         return self._checked[same]
 
     def _sums(self, chosen: Mapping[int, str], assumed: Assumed) -> dict[int, tuple[RollingSums, ...]]:

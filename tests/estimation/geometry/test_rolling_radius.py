@@ -10,7 +10,7 @@ import pytest
 from bogie_run import BOGIE, COACH, SOFT, WHEELBASE, joined, of_bogie, wheelset
 from smooth_wheelset import SmoothTable, mems_windows, track
 
-from estimation.geometry.model_fit import EXPECTED_STD, check_radius, rolling_radius
+from estimation.geometry.model_fit import EXPECTED_STD, check_radius, check_rolling, rolling_radius
 from estimation.motion.axle_distance import with_frame_yaw
 from estimation.motion.integration import SignalParameters
 from estimation.motion.parameters import MOTION
@@ -227,6 +227,26 @@ def test_a_radius_that_neither_motion_nor_measurement_confirms_is_open() -> None
     assert silent is not None
     assert silent.reason.code is ReasonCode.ROLLING_RADIUS_OPEN
     assert check_radius([nothing] * 7, 0.3) is None, "too few to say anything"
+
+
+@pytest.mark.parametrize(("stds", "doubted"), [(2.45, False), (2.55, True)])
+@pytest.mark.parametrize("scale_std", [0.0, 0.01])
+def test_a_scale_that_sensors_do_not_have_is_doubted(stds: float, scale_std: float, *, doubted: bool) -> None:
+    off = stds * math.hypot(0.01, scale_std)
+    said = check_rolling(made(scale=1.0 + off), TRUE, 0.01, measured=True, scale_std=scale_std)
+    assert (said is not None) is doubted
+    if said is not None:
+        assert (said.reason.code, said.certain) == (ReasonCode.SCALE_DIFFERS, False)
+        assert said.relative == pytest.approx(off, rel=0.02)
+
+
+def test_a_radius_that_is_another_goes_before_a_scale_and_a_stiff_bogie_shows_none() -> None:
+    parts = made(scale=1.04)
+    assert check_rolling(parts, TRUE, 0.01, measured=True) is None, "creep that saturates looks like it"
+    other = check_rolling(parts, 0.5 * TRUE, scale_std=0.0)
+    assert other is not None
+    assert (other.reason.code, other.certain) == (ReasonCode.ROLLING_RADIUS_DIFFERS, True)
+    assert check_rolling(made(7, scale=1.04), TRUE, scale_std=0.0) is None
 
 
 @pytest.mark.parametrize("inertia", [0.6, 1.4])
