@@ -46,9 +46,6 @@ PARAMETERS = (
 Moved = BogieRun | Simulated
 """Signals of a bogie, measured or simulated."""
 
-AXLES, OF_AXLES, OF_FRAME = 2, 9, 5  # rows of :func:`moving_rows`
-ROWS = AXLES * OF_AXLES + OF_FRAME
-
 
 def moving_rows(moved: Moved, speed: FloatArray, radius: float) -> FloatArray:
     """Return what the equations are linear in (r, n): nine rows of each axle, then five of the frame."""
@@ -68,8 +65,8 @@ def terms(gear: Gear, rows: RealOrComplex, saturated: RealOrComplex) -> RealOrCo
     """
     p, b, g = gear.vehicle, gear.bogie, gear.per_newton_metre
     a, shape = 0.5 * b.wheelbase, rows.shape[1:]
-    psi, dpsi, ddpsi, phi, y, dy, rolled, gyroscopic, slip = rows[: AXLES * OF_AXLES].reshape(OF_AXLES, AXLES, *shape)
-    psi_f, dpsi_f, ddpsi_f, y_f, dy_f = rows[AXLES * OF_AXLES :]
+    psi_f, dpsi_f, ddpsi_f, y_f, dy_f = rows[-5:]
+    psi, dpsi, ddpsi, phi, y, dy, rolled, gyroscopic, slip = rows[:-5].reshape(-1, 2, *shape)
     columns = np.zeros((EQUATIONS, 1 + len(PARAMETERS), *shape), dtype=rows.dtype)
     place = {name: 1 + number for number, name in enumerate(PARAMETERS)}
     k, arms = p.yaw_stiffness, (a, -a)
