@@ -87,7 +87,7 @@ def test_numbers_say_their_unit_in_their_names() -> None:
         "AlertRow": {"raise_limit", "clear_limit", "id", "fleet_alert_id", "occurrence_count", "version"},
         "BinColumn": {"value", "std"},
         "DistanceForecast": {"p10", "p50", "p90"},
-        "LevelCalibration": {"contradicting"},  # profiles
+        "LevelCalibration": {"profiles", "contradicting"},
         "Parameter": {"value", "std"},  # their unit is in a field beside them
         "Sensor": {"noise_density", "limit"},
         "RecordingCounts": {"frames", "used", "unused", "lost", "marked"},
