@@ -197,21 +197,29 @@ def _without_surveyed_alignment(
     cutoff = epoch.parameters.cutoff_wavelength
     comparable = in_force is not None and (surveyed or in_force.cutoff_wavelength == cutoff)
     usable = comparable and not (surveyed and survey_checked)  # of a gauge alone nothing is said unless it is refused
-    estimate = epoch.estimate(in_force if usable else None)
+    of_bogies = in_force if usable and in_force is not None and _by_bogies(in_force) else None
+    # that of stiff bogies gives way to passes that show an alignment without it, as those of soft bogies do
+    estimate = epoch.estimate(in_force if usable and of_bogies is None else None)
+    if of_bogies is not None and not _found(estimate):
+        return epoch.update(UpdateOutcome.KEPT, epoch.estimate(of_bogies), of_bogies)
     gauge = epoch.judge_gauge(estimate, in_force) if in_force is not None and surveyed and usable else None
     if gauge is not None:
         estimate = epoch.estimate(None)
-    if estimate.alignment is None or not estimate.report.converged or (usable and _by_bogies(in_force)):
+    if estimate.alignment is None or not _found(estimate):
         if in_force is None or surveyed or not np.isfinite(in_force.alignment).any():  # at most the gauge is known
             return epoch.update(UpdateOutcome.UNESTIMATED, estimate, None, gauge)
         return epoch.update(UpdateOutcome.KEPT, estimate, in_force)
     return epoch.update(UpdateOutcome.NEW_VERSION, estimate, carry_over_findings(estimate.alignment, in_force), gauge)
 
 
-def _by_bogies(in_force: TrackAlignment | None) -> bool:
-    """Return whether an alignment is that of stiff bogies, which passes of single wheelsets do not better."""
-    of_fleet = in_force is not None and in_force.source == AlignmentSource.FLEET and in_force.findings is None
-    return of_fleet and in_force is not None and bool(np.isfinite(in_force.alignment).any())
+def _found(estimate: SectionEstimate) -> bool:
+    return estimate.alignment is not None and estimate.report.converged
+
+
+def _by_bogies(in_force: TrackAlignment) -> bool:
+    """Return whether an alignment is that of stiff bogies: one of passes has findings on their wheelsets."""
+    of_fleet = in_force.source == AlignmentSource.FLEET and in_force.findings is None
+    return of_fleet and bool(np.isfinite(in_force.alignment).any())
 
 
 def _with_survey(epoch: _Epoch, survey: TrackAlignment, *, survey_checked: bool) -> AlignmentUpdate:

@@ -217,11 +217,12 @@ def test_without_a_survey_an_alignment_is_the_next_version_or_the_last_one_stays
 
 
 def test_a_version_of_another_cutoff_is_no_prior_and_a_survey_always_is() -> None:
-    alone, with_prior = CERTAIN, FLEET
+    alone, with_prior = CERTAIN, replace(CERTAIN, alignment_std=np.full(N, 2e-5))
+    last = replace(FLEET, findings=NO_SHIFT)
     for in_force, expected in (
         (None, alone),
-        (FLEET, with_prior),
-        (replace(FLEET, cutoff_wavelength=60.0), alone),
+        (last, with_prior),
+        (replace(last, cutoff_wavelength=60.0), alone),
         (replace(SURVEY, cutoff_wavelength=60.0), with_prior),
     ):
         assert (
@@ -280,10 +281,19 @@ def test_without_passes_what_is_in_force_stays() -> None:
         assert (found.outcome, found.alignment, found.pass_outcomes) == (outcome, expected, ())
 
 
-@pytest.mark.parametrize(("findings", "outcome"), [(None, UpdateOutcome.KEPT), (NO_SHIFT, UpdateOutcome.NEW_VERSION)])
-def test_passes_of_single_wheelsets_do_not_better_the_alignment_of_bogies(
-    findings: TrackFindings | None, outcome: UpdateOutcome
+@pytest.mark.parametrize(
+    ("alone", "findings", "outcome", "expected"),
+    [
+        (None, None, UpdateOutcome.KEPT, "in force"),  # coaches again: their passes show nothing without it
+        (CERTAIN, None, UpdateOutcome.NEW_VERSION, "alone"),  # soft bogies have passed
+        (None, NO_SHIFT, UpdateOutcome.NEW_VERSION, "with prior"),
+    ],
+)
+def test_the_alignment_of_stiff_bogies_gives_way_to_passes_that_show_one_without_it(
+    alone: TrackAlignment | None, findings: TrackFindings | None, outcome: UpdateOutcome, expected: str
 ) -> None:
     in_force = replace(FLEET, findings=findings, cutoff_wavelength=SETTINGS.section.cutoff_wavelength)
-    made = _without_surveyed_alignment(epoch(FLEET, CERTAIN), in_force, survey_checked=False)
+    with_prior = replace(CERTAIN, alignment_std=np.full(N, 2e-5))
+    made = _without_surveyed_alignment(epoch(alone, with_prior), in_force, survey_checked=False)
     assert made.outcome is outcome
+    assert made.alignment is {"in force": in_force, "alone": alone, "with prior": with_prior}[expected]
