@@ -20,7 +20,7 @@ from bench.report import Part, ResultTable
 from bench.scores import AMPLITUDES, Cluster
 from bench.study import Case, Key, Study
 from estimation.errors import TreadwatchError
-from estimation.geometry.model_fit import ROLLING
+from estimation.geometry.rolling_radius import ROLLING
 from estimation.values.reasons import ReasonCode
 
 RIGHT = "right"

@@ -18,7 +18,7 @@ from bench.made_scenario import Tables, changed_scenario
 from bench.made_values import made_alignment, made_window
 from bench.scores import AMPLITUDES, Compared, compared_at
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
-from estimation.geometry.model_fit import check_radius, rolling_radius
+from estimation.geometry.rolling_radius import check_radius, rolling_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.parameters import JOBS
 from estimation.jobs.steps.estimated_geometry import CONTRADICTIONS

@@ -10,8 +10,9 @@ from estimation.alerts.rule_book import RuleBook
 from estimation.contact.parameters import PROFILES
 from estimation.filters import FILTERS
 from estimation.geometry.estimate import GeometryParameters
-from estimation.geometry.model_fit import ROLLING
+from estimation.geometry.model_fit import FIT
 from estimation.geometry.parameters import PRIORS
+from estimation.geometry.rolling_radius import ROLLING
 from estimation.geometry.sharpening import SHARPENING
 from estimation.jobs.parameters import JOBS
 from estimation.motion.axle_distance import AXLES
@@ -52,7 +53,7 @@ class RailsSettings:
 
 # numbers that no deployment sets, and that stand beside what they steer or in ``parameters.py`` of its folder
 METHOD_NUMBERS = (
-    *(MOTION, BLOWS, AXLES, HUNTS, FUSED, FILTERS, PRIORS, SHARPENING, ROLLING, SUSTAINED),
+    *(MOTION, BLOWS, AXLES, HUNTS, FUSED, FILTERS, PRIORS, SHARPENING, FIT, ROLLING, SUSTAINED),
     *(PROFILES, VEHICLE, TRACK, WHEELS, JOBS),
 )
 METHOD = hashlib.sha256(repr(METHOD_NUMBERS).encode()).hexdigest()[:16]

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field, replace
 
 from estimation.errors import DamagedError, NotFoundError
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
-from estimation.geometry.model_fit import check_rolling
+from estimation.geometry.rolling_radius import check_rolling
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.parameters import JOBS
 from estimation.jobs.settings import EstimationSettings

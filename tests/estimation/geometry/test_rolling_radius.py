@@ -10,7 +10,7 @@ import pytest
 from bogie_run import BOGIE, COACH, SOFT, WHEELBASE, joined, of_bogie, wheelset
 from smooth_wheelset import SmoothTable, mems_windows, track
 
-from estimation.geometry.model_fit import EXPECTED_STD, check_radius, check_rolling, rolling_radius
+from estimation.geometry.rolling_radius import EXPECTED_STD, check_radius, check_rolling, rolling_radius
 from estimation.motion.axle_distance import with_frame_yaw
 from estimation.motion.integration import SignalParameters
 from estimation.motion.parameters import MOTION
@@ -101,7 +101,7 @@ def test_contact_angles_of_curved_contact_do_not_move_the_radius(monkeypatch: py
     assert found is not None
     without = EXPECTED_STD.copy()
     without[UNKNOWNS.index("curve")] = 1e-6
-    monkeypatch.setattr("estimation.geometry.model_fit.EXPECTED_STD", without)
+    monkeypatch.setattr("estimation.geometry.rolling_radius.EXPECTED_STD", without)
     before = rolling_radius(parts)
     assert before is not None
     assert found.value == pytest.approx(TRUE, rel=0.015)

@@ -11,7 +11,7 @@ from paper_class import PAPER_CLASS
 from smooth_wheelset import alignment, mems_windows, run, track
 from whole_runs import whole_runs
 
-from estimation.geometry.model_fit import rolling_radius
+from estimation.geometry.rolling_radius import rolling_radius
 from estimation.motion.axle_distance import bogie_runs_backwards, check_axle_distance, turned_over, with_frame_yaw
 from estimation.motion.checks import runs_backwards
 from estimation.motion.integration import SignalParameters, WindowParameters
