@@ -33,7 +33,7 @@ from estimation.values.alerts import LimitNow, MileageNow
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.trend import TrendRecord
+from estimation.values.trend import FleetWear, TrendRecord
 from fleet_db.keeping.purge import purged_before
 from fleet_db.keeping.retention import Kept
 from fleet_db.packed_values import from_document
@@ -71,7 +71,7 @@ def _geometry_now(unit: SqlUnitOfWork, services: Services, serial: str, media_ty
     """Return what is estimated now; that nothing is changes with the windows, and is not kept."""
     version = unit.geometries.version(serial)
     if version is not None:
-        key = ("geometry", serial, media_type, version)
+        key = ("geometry", serial, media_type, version, unit.trends.version(serial))
         payload = services.cache.get_or_make(key, partial(_estimated_geometry, unit, serial, media_type))
         if payload != NOT_KEPT:
             return payload
@@ -79,7 +79,7 @@ def _geometry_now(unit: SqlUnitOfWork, services: Services, serial: str, media_ty
     with_windows = current is not None and current.geometry.windows > 0
     why = WindowReasons(unit).without_estimate(serial, current.geometry.reason if with_windows and current else None)
     if current is not None:
-        return table_payload(geometry.geometry(current, why), media_type, geometry.table)
+        return table_payload(geometry.geometry(current, why, _fleet(unit, current)), media_type, geometry.table)
     baseline = len(unit.registry.wheelset(serial).reprofilings)
     return table_payload(geometry.no_geometry(serial, baseline, why.reason, why), media_type, geometry.table)
 
@@ -88,7 +88,13 @@ def _estimated_geometry(unit: SqlUnitOfWork, serial: str, media_type: str) -> by
     current = unit.geometries.current(serial)
     if current is None or current.geometry.status is Status.UNESTIMATED:
         return NOT_KEPT
-    return table_payload(geometry.geometry(current), media_type, geometry.table)
+    return table_payload(geometry.geometry(current, fleet=_fleet(unit, current)), media_type, geometry.table)
+
+
+def _fleet(unit: SqlUnitOfWork, record: GeometryRecord, as_of_ns: int | None = None) -> FleetWear | None:
+    """Return what the trend of a wheelset knows of those like it; None where it is of another profile."""
+    latest = unit.trends.latest(record.wheelset, as_of_ns)
+    return latest.trend.fleet if latest is not None and latest.baseline == record.baseline else None
 
 
 def _geometry_then(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int) -> bytes:
@@ -97,7 +103,8 @@ def _geometry_then(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: 
     if then is None:
         reason = _nothing_until("geometry", as_of_ns)
         return table_payload(geometry.no_geometry(serial, baseline, reason), media_type, geometry.table)
-    return table_payload(geometry.geometry(then), media_type, geometry.table)
+    fleet = _fleet(unit, then, as_of_ns)
+    return table_payload(geometry.geometry(then, fleet=fleet), media_type, geometry.table)
 
 
 @router.get("/{serial}/trend", response_model=trend.Trend, responses={**described(404, 410), **TABLE})
@@ -206,8 +213,15 @@ def list_intervals(asked: AskedListDep, serial: Serial) -> Response:
     with asked.read() as unit:
         unit.registry.wheelset(serial)
         intervals = [interval for interval in unit.geometries.intervals(serial) if interval.geometry.windows]
+        latest = unit.trends.latest(serial)
     intervals.sort(key=lambda interval: interval.mileage_km)
-    return asked.numbered({"wheelset": serial}, intervals, lambda interval: interval.from_ns, geometry.interval)
+    fleets = {} if latest is None else {latest.baseline: latest.trend.fleet}
+    return asked.numbered(
+        {"wheelset": serial},
+        intervals,
+        lambda interval: interval.from_ns,
+        lambda interval: geometry.interval(interval, fleets.get(interval.baseline)),
+    )
 
 
 @router.get("/{serial}/data-quality", response_model=geometry.DataQuality, responses=described(404))

@@ -26,6 +26,7 @@ from estimation.values.geometry import (
 )
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
+from estimation.values.trend import FleetWear
 from estimation.values.units import IN_MM
 from estimation.values.windows import WindowsOfReason as ReasonOfWindows
 from estimation.values.windows import WindowState, WithoutEstimate
@@ -131,9 +132,16 @@ def _column(values: BinValues, scale: float) -> BinColumn:
     return BinColumn(value=served(values.value), std=served(values.std), status=list(values.status))
 
 
-def geometry(record: GeometryRecord, without: WithoutEstimate | None = None) -> Geometry:
-    """Return the representation of a geometry estimate; ``without`` is why it holds no number now."""
-    shown = _geometry(record.wheelset, record.baseline, record.geometry, without)
+def geometry(
+    record: GeometryRecord, without: WithoutEstimate | None = None, fleet: FleetWear | None = None
+) -> Geometry:
+    """Return the representation of a geometry estimate.
+
+    Args:
+        without: Why it holds no number now.
+        fleet: What its trend knows of wheelsets like it, which say how its conicity goes on up to 3 mm.
+    """
+    shown = _geometry(record.wheelset, record.baseline, record.geometry, without, fleet)
     here = shown.links["self"]
     shown.links["as_recorded"] = f"{here}?as_of={to_rfc3339(record.recorded_ns)}"
     for section, versions in sorted(record.track_versions.items()):
@@ -164,7 +172,13 @@ def no_geometry(serial: str, baseline: int, reason: Reason, without: WithoutEsti
     return _geometry(serial, baseline, WheelsetGeometry(**parts, reason=reason), without)
 
 
-def _geometry(serial: str, baseline: int, estimate: WheelsetGeometry, without: WithoutEstimate | None) -> Geometry:
+def _geometry(
+    serial: str,
+    baseline: int,
+    estimate: WheelsetGeometry,
+    without: WithoutEstimate | None,
+    fleet: FleetWear | None = None,
+) -> Geometry:
     reason = estimate.reason if without is None else without.reason
     path = f"/v1/wheelsets/{segment(serial)}"
     of_record = ("mileage_km", "measured_from", "measured_to", "recorded_at", "windows_left_out", "provenance")
@@ -175,7 +189,7 @@ def _geometry(serial: str, baseline: int, estimate: WheelsetGeometry, without: W
         **why(reason),
         unestimated_because=unestimated_because(without),
         baseline=baseline,
-        equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(estimate)),
+        equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(estimate, fleet)),
         conicity_by_amplitude=[
             ConicityAtAmplitude(amplitude_mm=float(amplitude) * IN_MM, equivalent_conicity_1=uncertain(conicity))
             for amplitude, conicity in zip(estimate.amplitude, estimate.conicity, strict=True)
@@ -278,15 +292,15 @@ class DataQuality(Representation):
     links: Links
 
 
-def interval(record: GeometryRecord) -> Interval:
-    """Return the representation of what was estimated from one stretch of mileage."""
+def interval(record: GeometryRecord, fleet: FleetWear | None = None) -> Interval:
+    """Return the representation of what was estimated from one stretch of mileage; ``fleet`` as of a geometry."""
     return Interval.made(
         record,
         interval=record.interval or 0,
         n_windows=record.geometry.windows,
         status=record.geometry.status,
         **why(record.geometry.reason),
-        equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(record.geometry)),
+        equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(record.geometry, fleet)),
     )
 
 

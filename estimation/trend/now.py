@@ -196,7 +196,7 @@ def limit_now(
     """
     conicity = unknown or Estimate.unknown(NO_TREND)
     if geometry is not None:
-        conicity = _published(conicity_at_limit_amplitude(geometry))
+        conicity = _published(conicity_at_limit_amplitude(geometry, None if trend is None else trend.fleet))
     now = LimitNow(
         conicity=conicity,
         slope_per_1000_km=Estimate.unknown(NO_TREND) if trend is None else _published(trend.slope_per_1000_km),

@@ -17,6 +17,7 @@ from api.schemas import trend as trend_schema
 from bench.put_values import put_geometry
 from estimation.errors import ParameterError
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.trend import BeyondReached, FleetWear
 from fleet_db.keeping.purge import Purged, record_purge
 from fleet_db.keeping.retention import Kept
 
@@ -155,6 +156,14 @@ def test_an_extrapolated_current_conicity_is_one_number_too() -> None:
     assert shown.std > 0.01
     of_trend = api_fleet.trend_record(5, 0.25)
     assert trend_schema.trend(of_trend, record, None).current_1 == shown
+    fleet = FleetWear((), 4, (BeyondReached(2.75e-3, 0.01, 0.002),))
+    by_siblings = geometry_schema.geometry(record, fleet=fleet).equivalent_conicity_at_3_mm_1
+    assert by_siblings.value == pytest.approx((shown.value or 0.0) + 0.01)
+    assert by_siblings.std is not None
+    assert by_siblings.std < shown.std
+    with_fleet = replace(of_trend, trend=replace(of_trend.trend, fleet=fleet))
+    assert trend_schema.trend(with_fleet, record, None).current_1 == by_siblings
+    assert geometry_schema.interval(record, fleet).equivalent_conicity_at_3_mm_1 == by_siblings
     for other in (None, replace(record, baseline=1)):
         unknown = trend_schema.trend(of_trend, other, None)
         assert (unknown.current_1.value, unknown.current_mileage_km) == (None, None)
